@@ -50,6 +50,13 @@ ARROWS: dict[str, set[str]] = {
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},
     "fsai_nodes.recorder": {"fsai_nodes", "fsai_vcu.runtime", f"{DIAGNOSTICS}.export"},
     "fsai_nodes.sensor_simulator": {"fsai_nodes", "fsai_hil.simulator"},
+    "fsai_nodes.launch": {
+        "fsai_nodes",
+        "fsai_hil.rehearsal",
+        "fsai_hil.simulator",
+        "fsai_hil.vcan",
+        "fsai_vcu.interface",
+    },
     "fsai_hil": set(),
     "fsai_hil.vcan": {"fsai_hil"},
     "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.log", f"{DIAGNOSTICS}.statistics"},

@@ -8,12 +8,13 @@ import math
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.diagnostics.doctor.checks import examine
-from fsai_vcu.diagnostics.doctor.collect import collect
+from fsai_vcu.diagnostics.doctor.checks import Finding, examine
+from fsai_vcu.diagnostics.doctor.collect import collect, laptop
 from fsai_vcu.diagnostics.doctor.machine import Wanted
 from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
 from fsai_vcu.interface.codec import Codec
@@ -33,13 +34,14 @@ from fsai_vcu.runtime.configuration import (
 
 EXAMPLE = "fsai-vcu doctor; fsai-vcu doctor --wheels"
 
+INSTALLED = Path("/usr/lib/fsai/manifest")  # of the car's software
 _MARKS = {"right": "ok  ", "wrong": "WRONG", "note": "-   "}
 _PATIENCE_S = 60.0  # for a wheel to be turned
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--config", type=Path, metavar="FILE", help="the configuration (default: /etc/fsai/fsai.toml)")
+    add("--config", type=Path, metavar="FILE", help="the car PC's configuration (default: /etc/fsai/fsai.toml)")
     add("-i", "--interface", help="the bus to listen to (default: the configuration's)")
     add("--seconds", type=float, default=2.0, metavar="S", help="how long to listen to the bus (2 s)")
     add("--wheels", action="store_true", help="commissioning: asks for one wheel after the other to be turned by hand")
@@ -51,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
     if not 0.0 < args.seconds < math.inf:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time to listen for")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if args.config is None and not args.wheels and not (USUAL_PATH.exists() or INSTALLED.exists()):
+        return _show(examine(laptop()), as_json=args.json)
     configuration: Configuration | None = None
     problems: tuple[str, ...] = ()
     try:
@@ -66,9 +70,12 @@ def run(args: argparse.Namespace) -> int:
     if configuration is not None:
         wanted = _wanted(configuration, args.interface)
         codec = _codec(configuration, configuration.wheel_mapping)
-    findings = examine(collect(wanted, problems, codec, args.seconds))
+    return _show(examine(collect(wanted, problems, codec, args.seconds)), as_json=args.json)
+
+
+def _show(findings: Sequence[Finding], *, as_json: bool) -> int:
     wrong = sum(finding.level == "wrong" for finding in findings)
-    if args.json:
+    if as_json:
         print(json.dumps({"wrong": wrong, "findings": [asdict(finding) for finding in findings]}))
         return 1 if wrong else 0
     width = max(len(finding.topic) for finding in findings)

@@ -22,6 +22,7 @@ OWN_VERBS: Verbs = {
     "mode": (".mode", "set the mode: autonomous or manual"),
     "emergency-brake": (".emergency_brake", "request an emergency brake"),
     "reset": (".reset", "clear a latched emergency request, in AS_OFF and AS_INIT"),
+    "check-stack": (".check_stack", "watch a running stack over ROS 2, and list what it does wrong"),
     "status": (".status", "show mode, AS state, and what stands between now and driving"),
     "config": (".config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to"),
     "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels"),

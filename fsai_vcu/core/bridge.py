@@ -466,7 +466,12 @@ class Bridge:
         standing = supervisor.standing(config, state, now_ns)
         stop = state.stop
         circumstances = Circumstances(
-            phase, self._listening(now_ns), bridge.bus_lost, bridge.stopped, tally.received_wrongly(now_ns)
+            phase,
+            self._listening(now_ns),
+            bridge.bus_lost,
+            bridge.stopped,
+            tally.received_wrongly(now_ns),
+            bridge.command.note if bridge.command is not None and bridge.command.run_id == state.run_id else "",
         )
         return BridgeReport(
             t_ns=now_ns,

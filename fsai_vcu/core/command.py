@@ -28,6 +28,7 @@ class VehicleCommand(Immutable):
     laps: int = 0
     cones_count_actual: int = 0
     cones_count_all: int = 0
+    note: str = ""  # in words what keeps the controller from driving: no path, an input that is late; else empty
 
     def problems(self, steer_limit_rad: float) -> tuple[str, ...]:
         """Why this command must be refused whole; empty when it is in order."""

@@ -95,4 +95,4 @@ def revision_by_init(words: Iterable[int]) -> tuple[str, str] | None:
 def dbc_dir() -> Path:
     """The folder with the project's DBC files: inside the installed package, else in the checkout."""
     packaged = Path(__file__).parent / "dbc"
-    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "dbc"
+    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[2] / "dbc"

@@ -13,6 +13,7 @@ NODES = (
     "vcu_bridge",
     "visualization",
     "composed",
+    "eufs_adapter",
 )
 
 

@@ -15,6 +15,7 @@ from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.doctor.checks import Finding, examine
+from fsai_vcu.diagnostics.doctor.collect import kernel_has
 from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Link, Machine, Ros, Scheduling, Wanted
 from fsai_vcu.diagnostics.doctor.wheels import Four, Turn, WheelWiringCheck
 from fsai_vcu.interface.codec import Codec
@@ -318,3 +319,51 @@ def test_a_missing_configuration_is_reported_the_rest_is_checked(
     assert "WRONG configuration" in shown and "->" in shown and "permissions" in shown
     assert main(["doctor", "--config", str(tmp_path / "absent.toml"), "--wheels"]) == 1
     assert "absent.toml: cannot be read" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- on a laptop
+
+LAPTOP = Machine(car_pc=False, user="ada", ros=WELL.ros)
+
+
+@pytest.mark.parametrize(
+    ("machine", "topic", "level", "words", "todo"),
+    [
+        (LAPTOP, "machine", "note", "a laptop", ""),
+        (LAPTOP, "bus", "note", "this kernel has no vcan: loopback:NAME", ""),
+        (replace(LAPTOP, kernel_has_vcan=True), "bus", "note", "no vcan0 yet", "ip link add dev vcan0 type vcan"),
+        (replace(LAPTOP, vcan="vcan0"), "bus", "right", "vcan0 is up", ""),
+        (replace(LAPTOP, domain_id="7"), "DDS", "right", "domain 7, on the loopback", ""),
+        (replace(LAPTOP, transport="transport: UDP, on every network"), "DDS", "note", "every network", "unset"),
+        (replace(LAPTOP, dds_leftovers=("/dev/shm/fastrtps_1",)), "DDS", "note", "1 file in /dev/shm", "rm -f /dev"),
+        (LAPTOP, "scheduling", "note", "ada's programs may not be real-time", "ada - rtprio 60"),
+        (replace(LAPTOP, may_be_real_time=True), "scheduling", "right", "may be real-time", ""),
+        (replace(LAPTOP, ros=Ros()), "ROS 2", "wrong", "rclpy is not", "make setup"),
+    ],
+)
+def test_a_laptop_is_told_what_it_lacks(machine: Machine, topic: str, level: str, words: str, todo: str) -> None:
+    found = [each for each in examine(machine) if each.topic == topic and words in each.words]
+    assert len(found) == 1 and found[0].level == level and todo in found[0].todo
+
+
+def test_a_laptop_is_not_asked_for_what_a_car_pc_has(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("USUAL_PATH", "INSTALLED"):
+        monkeypatch.setattr(f"fsai_vcu.cli.doctor.{name}", tmp_path / "absent")
+    main(["doctor", "--json"])
+    topics = [each["topic"] for each in json.loads(capsys.readouterr().out)["findings"]]
+    assert topics[0] == "machine" and not {"services", "configuration", "permissions", "disk"} & set(topics)
+    (tmp_path / "absent").touch()
+    main(["doctor", "--json"])
+    assert "configuration" in {each["topic"] for each in json.loads(capsys.readouterr().out)["findings"]}
+
+
+def test_a_kernel_module_is_found_built_in_or_to_load(tmp_path: Path) -> None:
+    here = tmp_path / os.uname().release
+    here.mkdir()
+    assert not kernel_has("vcan", tmp_path)
+    for name, line in (("modules.builtin", "kernel/drivers/net/can/vcan.ko"), ("modules.dep", "a/vcan.ko.zst: b.ko")):
+        (here / name).write_text(line)
+        assert kernel_has("vcan", tmp_path)
+        (here / name).unlink()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.laps import LapState, advance_laps, gate_seen, staged
+from fsai_vcu.core.missions.laps import LapCounter, LapState, advance_laps, gate_seen, staged
 
 LAP_MIN_M = 20.0
 RADIUS_M = 20.0
@@ -98,3 +99,28 @@ def test_a_gate_that_is_seen_replaces_the_line_that_was_assumed() -> None:
     state = gate_seen(staged(Motion(), 8.0), 11.0, 0.0, 0.0, Motion(), LAP_MIN_M)
     assert straight_to(state, 0.0, 10.5).passages == 0
     assert straight_to(state, 0.0, 11.5).passages == 1
+
+
+def test_the_gate_seen_from_a_lane_that_comes_back_is_none() -> None:
+    state = gate_seen(staged(Motion(), 8.0), 11.0, 0.0, 0.0, Motion(), LAP_MIN_M)
+    back = Motion(x_m=20.0, y_m=-6.0, yaw_rad=math.pi, distance_m=45.0)
+    assert gate_seen(state, 11.0, -4.0, math.pi, back, LAP_MIN_M) == state
+    assert gate_seen(state, 11.5, 0.0, 0.1, replace(back, yaw_rad=0.0), LAP_MIN_M) != state
+
+
+def test_a_lap_counter_counts_from_the_staging_place() -> None:
+    """Round an oval of 102.8 m: the line is 8.17 m ahead of where the car began."""
+    counter, laps = LapCounter(), []
+    straight_m, radius_m = 20.0, 10.0
+    lap_m = 2.0 * (straight_m + math.pi * radius_m)
+    for step in range(1300):
+        distance_m = 0.25 * step
+        half, along_m = divmod(distance_m + 4.0, lap_m / 2.0)  # the car begins 4 m into the straight
+        angle = max(0.0, along_m - straight_m) / radius_m
+        x_m = min(along_m, straight_m) - 4.0 + radius_m * math.sin(angle)
+        y_m = radius_m * (1.0 - math.cos(angle))
+        if half % 2.0:
+            x_m, y_m, angle = straight_m - 8.0 - x_m, 2.0 * radius_m - y_m, angle + math.pi
+        laps.append(counter.laps(Motion(x_m=x_m, y_m=y_m, yaw_rad=angle, distance_m=distance_m)))
+    assert laps == sorted(laps) and laps[-1] == 3
+    assert laps.index(1) * 0.25 == pytest.approx(lap_m + 8.17, abs=1.0)

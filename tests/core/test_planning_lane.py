@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,3 +175,43 @@ def test_cones_near_the_car_are_told_left_from_right() -> None:
     lane = find_lane(cones, 0.0, HALF, 0.0, SETTINGS)
     near = (cones.xy_m[:, 0] > -1.5) & (cones.xy_m[:, 0] < 8.0)
     assert (np.sign(lane.side[near]) == np.sign(cones.xy_m[near, 1])).all()
+
+
+@pytest.mark.parametrize("reach", [6.5, 10.5, 14.5])
+def test_a_lane_is_supported_up_to_its_last_cones(reach: float) -> None:
+    cones = lane_cones(math.inf, colored=True, reach=reach)
+    lane = find_lane(cones, 0.0, HALF, 0.0, SETTINGS)
+    assert lane.supported_m == pytest.approx(float(cones.xy_m[:, 0].max()), abs=SETTINGS.path_step_m)
+
+
+def test_confidence_falls_with_a_border_lost() -> None:
+    cones = lane_cones(math.inf, colored=True)
+    both = find_lane(cones, 0.0, HALF, 0.0, SETTINGS)
+    left = find_lane(only(cones, cones.side > 0), 0.0, HALF, 0.0, SETTINGS)
+    assert both.note == "" and both.confidence > 0.8
+    assert left.note == "only the left border is seen" and left.confidence < 0.7 * both.confidence
+
+
+def test_colours_of_the_other_side_lower_confidence() -> None:
+    cones = lane_cones(math.inf, colored=True)
+    swapped = np.array([index in (4, 7) for index in range(len(cones.xy_m))])
+    lane = find_lane(replace(cones, side=np.where(swapped, -cones.side, cones.side)), 0.0, HALF, 0.0, SETTINGS)
+    assert off_middle(lane.path_m, math.inf) < 0.3
+    assert lane.confidence < 0.8 * find_lane(cones, 0.0, HALF, 0.0, SETTINGS).confidence
+    assert "2 of" in lane.note and "colour of the other side" in lane.note
+
+
+def test_a_fork_is_doubted() -> None:
+    """Two ways as good as each other."""
+    stem = [(s, y) for s in (-3.0, 0.0, 3.0) for y in (HALF, -HALF)]
+    branches = [arc_point(s, radius, y) for s in (6.0, 9.0, 12.0) for radius in (11.0, -11.0) for y in (HALF, -HALF)]
+    lane = find_lane(cones_of([*stem, *branches], [0.0] * 18), 0.0, HALF, 0.0, SETTINGS)
+    assert lane.confidence < 0.3 and "another way" in lane.note
+
+
+@pytest.mark.parametrize(
+    ("count", "note"), [(0, "no cones"), (1, "no lane among 1 cone"), (3, "no lane among 3 cones")]
+)
+def test_without_a_lane_the_note_says_why(count: int, note: str) -> None:
+    lane = find_lane(cones_of([(-5.0 - i, 1.5) for i in range(count)], [0.0] * count), 0.0, HALF, 0.0, SETTINGS)
+    assert (lane.note, lane.confidence, lane.supported_m, len(lane.path_m)) == (note, 0.0, 0.0, 0)

@@ -100,6 +100,18 @@ def test_a_side_from_the_lane_is_kept_but_weaker_than_a_colour() -> None:
     assert memory.around(HERE).side[0] == pytest.approx(-0.6)
 
 
+def test_a_lane_outvotes_a_colour_that_contradicts_it() -> None:
+    memory = ConeMemory(SETTINGS)
+    sides = []
+    for _ in range(8):
+        memory.add(np.array([[6.0, 1.5]]), colors(ConeColor.YELLOW), HERE)
+        cones = memory.around(HERE)
+        sides += cones.side.tolist()
+        memory.vote(cones.index, np.ones(len(cones.index)))
+    assert sides[0] == -1.0 and sides[-1] > 0.0
+    assert memory.around(HERE).color[0] == ConeColor.YELLOW
+
+
 def test_what_cannot_be_a_cone_is_not_taken_in() -> None:
     observation = ConeObservation(
         0,

@@ -175,6 +175,8 @@ def test_the_last_path_is_kept_for_one_second_without_cones() -> None:
         plan = planner.on_cones(observation([], t_ns), there)
         assert plan is not None
         assert (len(plan.path_m) > 0) is kept
+        assert plan.note == ("path kept from 1.0 s ago" if kept else "no cones")
+        assert (plan.supported_m > 0.0) is kept and plan.confidence < 0.1
 
 
 def resets(planner: Planner) -> None:

@@ -64,6 +64,12 @@ def test_nothing_is_unmet_while_driving() -> None:
     assert driven().report.why_not_driving == ()
 
 
+def test_what_the_controller_reports_is_told_in_as_driving() -> None:
+    said = "the controller reports: no path: no cones"
+    for phase, told in ((Phase.DRIVING, [said]), (Phase.HOLDING, [NO_COMMAND, said]), (Phase.STOPPING, [NO_COMMAND])):
+        assert list(answer(AsState.AS_DRIVING, now=Circumstances(phase, note="no path: no cones"))) == told
+
+
 # ---------------------------------------------------------------- the whole answer, condition by condition
 
 NOW = 1000 * S

@@ -71,6 +71,11 @@ def chosen(at_ns: int = T0) -> SupervisorState:
     return state
 
 
+def manual() -> SupervisorState:
+    """The same, but nobody has chosen autonomous."""
+    return replace(chosen(), mode=Mode.MANUAL)
+
+
 def ready(at_ns: int, state: SupervisorState | None = None, wait_ns: int = 5 * S, **changes: Any) -> SupervisorState:
     """AS_READY with Go off, and SELECTED sent, until `at_ns`."""
     begin_ns = at_ns - wait_ns
@@ -523,6 +528,8 @@ def test_modes_are_accepted_or_refused_by_as_state(as_state: AsState) -> None:
         assert (done, state) == (False, before)
         assert message == f"autonomous refused in {as_state.label}: accepted in AS_INIT, AS_OFF and AS_READY only"
     autonomous = replace(before, mode=Mode.AUTONOMOUS)
+    state, done, message = supervisor.set_mode(CONFIG, autonomous, "autonomous", T0)
+    assert (done, message, state) == (True, "mode is autonomous already", replace(autonomous, power_up=False))
     state, done, message = supervisor.set_mode(CONFIG, autonomous, "manual", T0 + 99 * S)
     assert done and state.mode is Mode.MANUAL
     assert message == ("mode is manual: the car is being stopped" if as_state is DRIVING else "mode is manual")
@@ -535,11 +542,15 @@ LATCHED = "but the emergency brake is latched because the emergency brake was as
     ("state", "after_ns", "mode", "config", "done", "words"),
     [
         (SupervisorState(), 0, "autonomous", CONFIG, False, "(no 0x520)"),
-        (chosen(), 100 * MS - 1, "autonomous", CONFIG, True, "mode is autonomous"),
-        (chosen(), 100 * MS, "autonomous", CONFIG, False, "is silent: the last 0x520 (AS_OFF) is 0.1 s old"),
+        (manual(), 100 * MS - 1, "autonomous", CONFIG, True, "mode is autonomous"),
+        (manual(), 100 * MS, "autonomous", CONFIG, False, "is silent: the last 0x520 (AS_OFF) is 0.1 s old"),
+        (chosen(), 100 * MS, "autonomous", CONFIG, True, "mode is autonomous already"),
         (chosen(), 0, "autonomous", BridgeConfig(listen_only=True), False, "only listens (listen_only)"),
         (chosen(), 0, "auto", CONFIG, False, "unknown mode 'auto': the modes are manual, autonomous"),
-        (supervisor.ask_emergency(chosen(), Asked.OPERATOR, "smoke", T0), 0, "autonomous", CONFIG, True, LATCHED),
+        *(
+            (supervisor.ask_emergency(state, Asked.OPERATOR, "smoke", T0), 0, "autonomous", CONFIG, True, LATCHED)
+            for state in (manual(), chosen())
+        ),
     ],
 )
 def test_the_answer_to_a_mode_says_what_stands_against_it(

@@ -11,7 +11,7 @@ from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
-from fsai_msgs.msg import ConeArray, PlannerStatus, RunState, VehicleState
+from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import Log
@@ -19,8 +19,10 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 
 from fsai_nodes import qos
+from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import (
@@ -153,8 +155,11 @@ class Stand:
         self.rig.turns()
 
     def plan(self, age_ms: float = 0.0, poses: int = 3) -> None:
-        """As from the planner: in these cones it saw no way."""
-        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * poses)
+        """As from the planner: straight on, or, without poses, that it sees no way."""
+        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path()
+        for index in range(poses):
+            path.poses.append(PoseStamped())
+            path.poses[-1].pose.position.x = 2.0 * index
         status.header.stamp = path.header.stamp = self.rig.stamp(age_ms)
         self._status.publish(status)
         self._path.publish(path)
@@ -213,3 +218,57 @@ class ScriptedVcu:
         self._stop.set()
         self._thread.join(5.0)
         self._bus.close()
+
+
+STATUS = VcuStatus(as_state=AsState.AS_OFF, as_switch=True, ts_switch=True, ami=Ami.TRACKDRIVE)
+
+
+class Driving:
+    """A bridge in AS_DRIVING after the whole sequence, with the tester as its planner and controller."""
+
+    def __init__(self, rig: RosRig, bus: str, vcu: ScriptedVcu, promise: QoSProfile | int = qos.COMMAND) -> None:
+        self.rig = rig
+        self._sent_s = 0.0
+        self.node = rig.start(
+            VcuBridge,
+            can_interface=bus,
+            real_time=True,
+            autonomous_at_power_up=True,
+            # As for the official simulator: this car does not stay in AS_READY for 5 s.
+            service_brake="motor",
+            # A machine that pauses is not the silence that is meant here.
+            command_stale_ms=1000.0,
+            command_lost_ms=2000.0,
+        )
+        confirmations = rig.tester.create_publisher(ResetConfirmation, "/reset_confirmation", qos.CONFIRMATION)
+        self.commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", promise)
+
+        def confirmed() -> bool:
+            run_id = self.node._loop.report().run.run_id
+            for role in ("planner", "controller"):
+                confirmations.publish(ResetConfirmation(role=role, run_id=run_id))
+            rig.turns()
+            return len(self.node._loop.report().confirmed) == 2 and vcu.last_status().mission_status == 1
+
+        rig.spin_until(confirmed, "SELECTED")
+        vcu.say(as_state=AsState.AS_READY)
+        rig.spin_until(lambda: self.in_state(AsState.AS_READY), "AS_READY")
+        vcu.say(as_state=AsState.AS_DRIVING, go_signal=True)
+        rig.spin_until(self.driving, "the commands count")
+
+    def in_state(self, as_state: AsState) -> bool:
+        return bool(self.node._loop.report().run.as_state is as_state)
+
+    def command(self, age_ms: float = 0.0, note: str = "") -> None:
+        """Fifty a second: more would take the processor from the car, which is a thread of this process."""
+        if time.monotonic() - self._sent_s < 0.02:
+            return
+        self._sent_s = time.monotonic()
+        report = self.node._loop.report()
+        message = VehicleCommand(run_id=report.run.run_id, note=note)
+        message.header.stamp = self.rig.stamp(age_ms)
+        self.commands.publish(message)
+
+    def driving(self) -> bool:
+        self.command()
+        return bool(self.node._loop.report().run.may_move)

@@ -15,7 +15,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
-from ros_rig import RosRig, ScriptedVcu, logged
+from ros_rig import STATUS, Driving, RosRig, ScriptedVcu, logged
 from std_srvs.srv import Trigger
 
 from fsai_nodes import qos
@@ -23,7 +23,7 @@ from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState, EbsState, MissionStatus, TsState
-from fsai_vcu.interface.messages import VcuStatus
+from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 
 
@@ -264,6 +264,59 @@ def test_a_goal_is_rejected_cancelled_or_times_out(rig: RosRig, bus: str) -> Non
     assert result_of(rig, handle).ended == "cancelled"
     handle, _ = follow(rig, until="finished", timeout_s=0.1)
     assert result_of(rig, handle).ended == "timeout"
+
+
+def test_cancelling_ends_the_drive_in_order(rig: RosRig, bus: str) -> None:
+    """As mode manual does: commands no longer count, FINISHED at rest, no emergency; then comes the result."""
+    with ScriptedVcu(bus, STATUS) as vcu:
+        car = Driving(rig, bus, vcu)
+        handle, _ = follow(rig, until="finished")
+        cancelling = handle.cancel_goal_async()
+        rig.spin_until(cancelling.done, "the cancellation")
+        assert len(cancelling.result().goals_canceling) == 1
+        result = handle.get_result_async()
+
+        def finished() -> bool:
+            car.command()
+            return vcu.last_status().mission_status is MissionStatus.FINISHED
+
+        rig.spin_until(finished, "FINISHED at rest")
+        assert not result.done(), "the car is in AS_DRIVING still"
+        vcu.say(as_state=AsState.AS_FINISHED)
+        rig.spin_until(result.done, "the goal's result")
+        ended = result.result().result
+        assert (ended.ended, ended.as_state, ended.success) == ("cancelled", "AS_FINISHED", False)
+        assert not any(image.estop_request for image in vcu.received if isinstance(image, AiStatus))
+
+
+@pytest.mark.parametrize("state", [AsState.AS_OFF, AsState.AS_READY])
+def test_cancelling_before_the_drive_keeps_it_from_starting(
+    rig: RosRig, bus: str, vcu: ScriptedVcu, state: AsState
+) -> None:
+    _, states = start_bridge(rig, bus)
+    wait_for_car(rig, states)
+    assert rig.ask(SetMode, "/set_mode", mode="autonomous").message == "mode is autonomous"
+    assert rig.ask(SetMode, "/set_mode", mode="autonomous").message == "mode is autonomous already"
+    vcu.say(as_state=state, ami=Ami.TRACKDRIVE)
+    rig.spin_until(lambda: states[-1].as_state == int(state), state.label)
+    handle, _ = follow(rig, until="finished")
+    rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
+    result = result_of(rig, handle)
+    assert (result.ended, result.message) == ("cancelled", f"cancelled, mode is manual: the car is in {state.label}")
+    assert result.duration_s >= 0.0
+    rig.spin_until(lambda: states[-1].mode == "manual", "the mode in /vehicle_state")
+
+
+def test_a_cancel_that_the_loop_does_not_take_is_rejected(rig: RosRig, bus: str) -> None:
+    node, _ = start_bridge(rig, bus)
+    handle, _ = follow(rig, until="finished")
+    node._loop.set_mode = lambda mode: (False, "the CAN loop does not answer")
+    future = handle.cancel_goal_async()
+    rig.spin_until(future.done, "the answer")
+    assert not future.result().goals_canceling
+    del node._loop.set_mode
+    rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
+    assert result_of(rig, handle).ended == "cancelled"
 
 
 def test_stopping_the_bridge_ends_the_goals_that_it_follows(rig: RosRig, bus: str) -> None:

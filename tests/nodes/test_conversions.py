@@ -99,12 +99,16 @@ def test_the_poses_of_a_path_look_along_it() -> None:
         assert yaw == pytest.approx(math.pi / 2)
 
 
-def test_a_path_with_nan_or_points_or_mission_missing_is_none() -> None:
+def test_an_empty_path_comes_with_its_reason() -> None:
+    plan = Plan(7, 3, Ami.TRACKDRIVE, np.zeros((0, 2)), note="no lane among 7 cones")
+    back = to.plan_from_msgs(*to.plan_to_msgs(plan, STAMP), 7)
+    assert back is not None and (len(back.path_m), back.note) == (0, plan.note)
+
+
+def test_a_path_with_nan_or_an_unknown_mission_is_none() -> None:
     plan = Plan(7, 3, Ami.TRACKDRIVE, np.array([[0.5, 0.0], [1.0, 0.1]]))
     status, path = to.plan_to_msgs(plan, STAMP)
     path.poses[1].pose.position.x = math.nan
-    assert to.plan_from_msgs(status, path, 7) is None
-    path.poses = []
     assert to.plan_from_msgs(status, path, 7) is None
     status, path = to.plan_to_msgs(plan, STAMP)
     status.mission = 99

@@ -17,6 +17,7 @@ from ros_rig import RosRig
 
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller, visualization
 from fsai_nodes.composed import CLASSES
+from fsai_nodes.launch import PARAMETERS
 from fsai_nodes.parameters import NodeError, Scattered, misspelt
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 
@@ -304,15 +305,9 @@ def test_launch_and_parameter_files_name_what_exists() -> None:
         for node, content in yaml.safe_load(path.read_text()).items():
             for name, value in content["ros__parameters"].items():
                 assert known[node][name].problem(value) is None, (path.name, node, name)
-    tree = ast.parse((package / "launch" / "fsai.launch.py").read_text())
-    table = next(
-        node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"
-    )
-    assert isinstance(table, ast.Dict)
-    for argument, entry in zip(table.keys, table.values, strict=True):
-        assert argument is not None and isinstance(entry, ast.Tuple)
-        for node in ast.literal_eval(entry.elts[0]):
-            assert ast.literal_eval(argument) in known[node]
+    for argument, nodes in PARAMETERS.items():
+        for node in nodes:
+            assert argument in known[node]
     assert set(CLASSES) == set(MODULES)
 
 

@@ -79,6 +79,26 @@ def test_no_timeout_waits_for_ever() -> None:
     assert Waiting("", "finished", 0.0, 0).step(None, Ami.NOT_SELECTED, 10**18) is None
 
 
+@pytest.mark.parametrize("state", [None, OFF, READY, EMERGENCY, FINISHED])
+def test_a_cancelled_goal_ends_once_the_car_does_not_drive(state: AsState | None) -> None:
+    waiting = Waiting("skidpad", "finished", 0.0, 0)
+    for now_s in (1, 2):
+        assert waiting.step(DRIVING, Ami.TRACKDRIVE, now_s * S, cancelled=True) is None
+    outcome = waiting.step(state, Ami.TRACKDRIVE, 3 * S, cancelled=True)
+    assert outcome is not None and (outcome.success, outcome.ended) == (False, "cancelled")
+    assert (state.label if state is not None else "nothing is received") in outcome.message
+
+
+def test_a_cancelled_goal_has_its_timeout_all_the_same() -> None:
+    outcome = Waiting("", "finished", 2.0, 0).step(DRIVING, Ami.TRACKDRIVE, 2 * S, cancelled=True)
+    assert outcome is not None and outcome.ended == "timeout"
+
+
+def test_no_duration_is_negative() -> None:
+    waiting = Waiting("", "finished", 0.0, 7 * S)
+    assert [waiting.duration_s(now_ns) for now_ns in (6 * S, 7 * S, 9 * S)] == [0.0, 0.0, 2.0]
+
+
 def test_every_goal_can_be_reached() -> None:
     for name, goal in GOALS.items():
         assert goal.reached, name

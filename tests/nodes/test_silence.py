@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 
 import pytest
-from fsai_msgs.msg import ConeArray, ResetConfirmation, VehicleCommand
+from fsai_msgs.msg import ConeArray, VehicleCommand
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import RosRig, ScriptedVcu, Stand, logged
+from rclpy.qos import QoSProfile
+from ros_rig import STATUS, Driving, RosRig, ScriptedVcu, Stand, logged
 
 from fsai_nodes import qos
 from fsai_nodes.clocks import LATE_NS, Input
@@ -19,8 +19,7 @@ from fsai_nodes.cone_detector import ConeDetector
 from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
-from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
-from fsai_vcu.interface.messages import VcuStatus
+from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.units import MS
 
 warnings, errors = (partial(logged, level=level) for level in (30, 40))  # of rcl_interfaces/Log: its own are bytes
@@ -33,7 +32,7 @@ def test_silence_and_old_data_are_told_with_topic_and_node(rig: RosRig) -> None:
     speaker = rig.add(Node("speaker"))
     topic = Input(rig.tester, "raw_cones")
     assert topic.late(0) == "/raw_cones, which nobody publishes: nothing received yet"
-    speaker.create_publisher(ConeArray, "raw_cones", qos.SENSOR)
+    publisher = speaker.create_publisher(ConeArray, "raw_cones", qos.SENSOR)
     rig.spin_until(lambda: bool(rig.tester.get_publishers_info_by_topic("/raw_cones")), "the publisher")
     topic.received(1000 * MS, age_ns=10 * MS)
     assert topic.late(1000 * MS + LATE_NS - 1) == ""
@@ -42,6 +41,9 @@ def test_silence_and_old_data_are_told_with_topic_and_node(rig: RosRig) -> None:
     assert topic.late(2000 * MS) == "/raw_cones of speaker comes with data 250 ms old"
     topic.received(2000 * MS, age_ns=-300 * MS)
     assert topic.late(2000 * MS) == "/raw_cones of speaker is stamped 300 ms ahead of the clock"
+    speaker.destroy_publisher(publisher)
+    rig.spin_until(lambda: not rig.tester.get_publishers_info_by_topic("/raw_cones"), "the publisher's end")
+    assert topic.late(3000 * MS) == "/raw_cones of speaker, which has ended, has been silent for 1000 ms"
 
 
 # ---------------------------------------------------------------- the chain
@@ -83,13 +85,13 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
 
     def named() -> bool:
         stand.state()
-        return "/detected_cones of tester has been silent" in commands[-1].late
+        return "/detected_cones of tester has been silent" in commands[-1].note
 
     rig.spin_until(planned, "cones and commands")
     rig.spin_until(plan_taken, "a plan")
     rig.spin_until(named, "the command says what is late")
-    assert "it, or the sensors before it" in commands[-1].late
-    assert len(warnings(log, "the data behind the commands grow old")) == 1
+    assert "it, or the sensors before it" in commands[-1].note
+    assert len(warnings(log, "not driving: ", "has been silent")) == 1
 
 
 def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
@@ -105,79 +107,26 @@ def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
 
     def named() -> bool:
         stand.state()
-        return commands[-1].late.startswith("/path of some_planner has been silent for")
+        return commands[-1].note.startswith("/path of some_planner has been silent for")
 
     rig.spin_until(planned, "a plan")
-    assert commands[-1].late == ""
+    assert commands[-1].note == ""
     rig.spin_until(named, "the planner is named")
 
 
 # ---------------------------------------------------------------- the bridge
 
 
-class Driving:
-    """A bridge in AS_DRIVING after the whole sequence, with the tester as its planner and controller."""
-
-    def __init__(self, rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
-        self.rig = rig
-        self._sent_s = 0.0
-        self.node = rig.start(
-            VcuBridge,
-            can_interface=bus,
-            real_time=True,
-            autonomous_at_power_up=True,
-            # As for the official simulator: this car does not stay in AS_READY for 5 s.
-            service_brake="motor",
-            # A machine that pauses is not the silence that is meant here.
-            command_stale_ms=1000.0,
-            command_lost_ms=2000.0,
-        )
-        confirmations = rig.tester.create_publisher(ResetConfirmation, "/reset_confirmation", qos.CONFIRMATION)
-        self.commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
-
-        def confirmed() -> bool:
-            run_id = self.node._loop.report().run.run_id
-            for role in ("planner", "controller"):
-                confirmations.publish(ResetConfirmation(role=role, run_id=run_id))
-            rig.turns()
-            return len(self.node._loop.report().confirmed) == 2 and vcu.last_status().mission_status == 1
-
-        rig.spin_until(confirmed, "SELECTED")
-        vcu.say(as_state=AsState.AS_READY)
-        rig.spin_until(lambda: self.in_state(AsState.AS_READY), "AS_READY")
-        vcu.say(as_state=AsState.AS_DRIVING, go_signal=True)
-        rig.spin_until(self.driving, "the commands count")
-
-    def in_state(self, as_state: AsState) -> bool:
-        return bool(self.node._loop.report().run.as_state is as_state)
-
-    def command(self, age_ms: float = 0.0, late: str = "") -> None:
-        """Fifty a second: more would take the processor from the car, which is a thread of this process."""
-        if time.monotonic() - self._sent_s < 0.02:
-            return
-        self._sent_s = time.monotonic()
-        report = self.node._loop.report()
-        message = VehicleCommand(run_id=report.run.run_id, late=late)
-        message.header.stamp = self.rig.stamp(age_ms)
-        self.commands.publish(message)
-
-    def driving(self) -> bool:
-        self.command()
-        return bool(self.node._loop.report().run.may_move)
-
-
-STATUS = VcuStatus(as_state=AsState.AS_OFF, as_switch=True, ts_switch=True, ami=Ami.TRACKDRIVE)
-
-
-def test_the_bridge_names_the_controller_that_fell_silent(rig: RosRig, bus: str) -> None:
+@pytest.mark.parametrize("promise", [qos.COMMAND, 10], ids=["ours", "as_ros2_topic_pub"])
+def test_a_controller_that_falls_silent_is_named_and_stopped(rig: RosRig, bus: str, promise: QoSProfile | int) -> None:
+    """Whatever it promised to the middleware: the CAN loop's clock catches its silence, and no other."""
     log = rig.log()
     with ScriptedVcu(bus, STATUS) as vcu:
-        Driving(rig, bus, vcu)
-        for words in (
-            ("the vehicle command is stale", "/vehicle_cmd of tester has been silent for"),
-            ("/vehicle_cmd of tester missed its deadline of 100 ms",),
-        ):
-            rig.spin_until(lambda words=words: bool(errors(log, *words)), words[-1])
+        car = Driving(rig, bus, vcu, promise)
+        words = ("the vehicle command is stale", "/vehicle_cmd of tester has been silent for")
+        rig.spin_until(lambda: bool(errors(log, *words)), words[-1])
+        rig.spin_until(lambda: bool(car.node._loop.report().stopping), "the stop for good")
+        assert car.node._loop.report().mode == "manual"
 
 
 def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> None:
@@ -186,7 +135,7 @@ def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> 
         car = Driving(rig, bus, vcu)
 
         def stale() -> bool:
-            car.command(age_ms=600.0, late="/path of path_planner has been silent for 580 ms")
+            car.command(age_ms=600.0, note="/path of path_planner has been silent for 580 ms")
             return bool(errors(log, "command is stale", "(/path of path_planner has been silent for 580 ms)"))
 
         rig.spin_until(stale, "COMMAND_STALE, and what the command says is late")

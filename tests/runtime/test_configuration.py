@@ -160,15 +160,15 @@ def test_the_installed_configuration_is_valid(tmp_path: Path) -> None:
 def test_settings_become_the_parameters_of_their_nodes() -> None:
     found = parsed(
         "[can]\ninterface='can7'\nrevision='2021'\nlisten_only=true\n[missions]\ntrackdrive_laps=3\nmax_speed_mps=4\n"
-        "lap_max_speed_mps=3.5\nskidpad_max_speed_mps=3\nacceleration_max_speed_mps=2.5\n"
+        "lap_max_speed_mps=3.5\nrace_max_speed_mps=3.7\nskidpad_max_speed_mps=3\nacceleration_max_speed_mps=2.5\n"
         "[car]\nwheel_mapping={fl='fr',fr='fl'}\n[perception]\nrange_max_m=11\n"
     ).parameters()
     assert found["vcu_bridge"]["can_interface"] == "can7"
     assert found["vcu_bridge"]["revision"] == "2021" and found["vcu_bridge"]["listen_only"] is True
     assert found["vcu_bridge"]["wheel_mapping"] == "fl=fr,fr=fl,rl=rl,rr=rr"
     assert (found["path_planner"]["laps"], found["path_planner"]["range_max_m"]) == (3, 11.0)
-    names = ("max_speed", "lap_max_speed", "skidpad_max_speed", "acceleration_max_speed")
-    assert [found["vehicle_controller"][name] for name in names] == [4.0, 3.5, 3.0, 2.5]
+    names = ("max_speed", "lap_max_speed", "race_max_speed", "skidpad_max_speed", "acceleration_max_speed")
+    assert [found["vehicle_controller"][name] for name in names] == [4.0, 3.5, 3.7, 3.0, 2.5]
     assert {found[node]["car"] for node in ("vcu_bridge", "path_planner", "vehicle_controller")} == {"2021"}
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from fsai_hil.simulator import car as car_module
 from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.vcu import Actuation
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.interface.units import MS
 
@@ -52,6 +56,33 @@ def test_full_throttle_is_1_9_mps2_75_m_in_9_8_s_and_21_mps() -> None:
     assert car.t_ns / 1e9 == pytest.approx(9.8, abs=0.3)
     drive(car, FULL, 50.0)
     assert car.speed_mps == pytest.approx(21.0, abs=0.7), "and no more"
+
+
+def pushing_n(speed_mps: float) -> float:
+    """At full throttle, by the torque schedule and the resistances; without the driven tyres' slip."""
+    motor_rpm = ADS_DV_2026.wheel_rpm_of_speed(speed_mps) * 3.5
+    nm = np.interp(motor_rpm, *zip(*ADS_DV_2026.torque_curve_rpm_nm, strict=True))
+    drive_n = float(nm) * car_module.DRIVELINE_EFFICIENCY / ADS_DV_2026.rolling_radius_m
+    return drive_n - car_module.ROLLING_RESISTANCE * 300.0 * 9.81 - 0.6 * car_module.DRAG_AREA_M2 * speed_mps**2
+
+
+def test_75_m_and_top_speed_are_those_of_the_forces() -> None:
+    inertia_kg = 300.0 + car_module.ROTATING_MASS_KG
+
+    def there(_t: float, state: Floats) -> float:
+        return float(state[0]) - 75.0
+
+    there.terminal = True  # type: ignore[attr-defined]
+    run = solve_ivp(
+        lambda _t, s: (s[1], pushing_n(s[1]) / inertia_kg), (0, 30), (0.0, 0.0), events=there, max_step=0.05
+    )
+    car = Car(CARS["2026"])
+    while car.truth().distance_m < 75.0:
+        drive(car, FULL, 0.01)
+    assert car.t_ns / 1e9 == pytest.approx(run.t[-1], rel=0.015)
+    assert car.speed_mps == pytest.approx(run.y[1, -1], rel=0.015)
+    drive(car, FULL, 40.0)
+    assert car.speed_mps == pytest.approx(brentq(pushing_n, 10.0, 24.0), rel=0.01)
 
 
 def test_both_axles_drive_in_2021_and_only_the_rear_one_in_2026() -> None:
@@ -126,7 +157,8 @@ def test_brake_pressure_is_6_percent_over_the_request_or_13(asked: float, comes:
 def test_full_braking_and_the_ebs_decelerate_with_9_mps2() -> None:
     speed = 12.0
     by_request = stopping(at_speed(speed), replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0))
-    assert by_request[0] == pytest.approx(speed**2 / (2 * 9.0) + speed * 0.12, rel=0.08)
+    # 80 ms of dead time, and half of the 100 ms in which the pressure rises
+    assert by_request[0] == pytest.approx(speed**2 / (2 * 9.0) + speed * 0.13, rel=0.03)
     assert stopping(at_speed(speed), replace(COAST, ebs_engaged=True)) == pytest.approx(by_request)
 
 
@@ -134,7 +166,7 @@ def test_the_least_brake_request_is_a_step_of_1_2_mps2() -> None:
     coasting, braking = at_speed(10.0), at_speed(10.0)
     drive(coasting, COAST, 1.0)
     drive(braking, replace(COAST, front_brake_pct=0.5, rear_brake_pct=0.5), 1.0)
-    assert coasting.speed_mps - braking.speed_mps == pytest.approx(1.2 * 0.91, abs=0.12)
+    assert coasting.speed_mps - braking.speed_mps == pytest.approx(0.13 * 9.0 * 0.91, abs=0.03)
 
 
 def test_a_braked_car_does_not_pull_away_against_its_brakes() -> None:
@@ -194,6 +226,25 @@ def test_tyres_limit_the_lateral_acceleration() -> None:
         drive(car, replace(COAST, steer_deg=25.0), 0.01)
         peak = max(peak, abs(car.feedback().accel_xyz_mps2[1]))
     assert 6.0 < peak < 1.1 * car_module.FRICTION * 9.81
+
+
+@pytest.mark.parametrize("speed_mps", [4.0, 8.0, 12.0])
+def test_steady_cornering_is_neutral_with_the_tyres_slip(speed_mps: float) -> None:
+    """Weight in the middle, the same tyres, stiffness by load: no understeer. At 2 m/s2 the tyres are linear."""
+    car, lateral_mps2 = at_speed(speed_mps), 2.0
+    steer_deg = math.degrees(math.atan(1.53 * lateral_mps2 / speed_mps**2)) + 0.9  # and the play
+    motor_rpm = round(car.facts.wheel_rpm_of_speed(speed_mps) * 3.5) + 20
+    drive(car, replace(FULL, rear_torque_nm=60.0, rear_motor_speed_max_rpm=motor_rpm, steer_deg=steer_deg), 5.0)
+    before = car.truth()
+    drive(car, replace(FULL, rear_torque_nm=60.0, rear_motor_speed_max_rpm=motor_rpm, steer_deg=steer_deg), 0.02)
+    now = car.truth()
+    curvature = math.tan(math.radians(now.steer_deg)) / 1.53
+    assert now.yaw_rate_radps == pytest.approx(now.speed_mps * curvature, rel=0.01)
+    dx, dy = now.pose.x_m - before.pose.x_m, now.pose.y_m - before.pose.y_m
+    outwards = 0.5 * (before.pose.yaw_rad + now.pose.yaw_rad) - math.atan2(dy, dx)  # of the rear axle, by its tyres
+    stiffness = car_module.TYRE_B * car_module.TYRE_C * car_module.FRICTION  # lateral force by angle and load
+    lateral_g = now.speed_mps * now.yaw_rate_radps / 9.81
+    assert math.remainder(outwards, math.tau) == pytest.approx(lateral_g / stiffness, rel=0.05)
 
 
 def test_positive_steering_turns_left_right_wheels_run_faster() -> None:

@@ -14,7 +14,10 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
+from fsai_vcu.diagnostics.explain import Record, explained
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import S
 
 MISSIONS = [ami for ami in Ami if ami is not Ami.NOT_SELECTED]
@@ -71,6 +74,25 @@ def test_the_same_seed_is_the_same_run_and_another_seed_another() -> None:
         runs.append((replace(lockstep.world.truth, seed=0), lockstep.computer.report()))
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]
+
+
+def test_a_car_that_sees_no_track_says_so_and_ends() -> None:
+    frames: list[LogFrame] = []
+
+    def log(frame: Frame) -> None:
+        frames.append(LogFrame(frame.t_ns, "vcan0", frame.can_id, frame.data))
+
+    lockstep = Lockstep(oval(), controller=ControllerSettings(give_up_s=6.0), on_frame=log)
+    lockstep.detector = lambda seen: replace(
+        seen, xy_m=seen.xy_m[:0], color=seen.color[:0], confidence=seen.xy_m[:0, 0]
+    )
+    told: set[str] = set()
+    result = lockstep.run(lambda _world, report: told.update(report.why_not_driving))
+    assert any(words.startswith("the controller reports: no path: ") for words in told), told
+    assert lockstep.world.vcu.state is AsState.EMERGENCY_BRAKE and result.wire.ok, result.wire
+    assert "the car has stood for 6 s: no path: " in (result.report.emergency or "")
+    (incident,) = explained(Record(frames_of(frames))).incidents
+    assert incident.candidates[0].slug == "not_driven"
 
 
 def test_operational_limits_are_never_exceeded() -> None:

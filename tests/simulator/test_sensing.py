@@ -95,3 +95,9 @@ def test_far_colours_are_sometimes_unknown_and_seldom_wrong() -> None:
 def test_a_track_without_cones_is_no_error() -> None:
     seen = ConeSensor(load_track("static"), PERFECT).see(Pose(), 3)
     assert seen.xy_m.shape == (0, 2)
+
+
+def test_a_sensor_without_colours_sees_the_same_cones_unknown() -> None:
+    track = load_track("small_oval")
+    coloured, colourless = (ConeSensor(track, SensorSettings(colours=on), 3).see(Pose(), 0) for on in (True, False))
+    assert np.array_equal(coloured.xy_m, colourless.xy_m) and coloured.color.any() and not colourless.color.any()

@@ -185,6 +185,21 @@ def test_removal_ends_it_and_purging_leaves_only_the_logs(image: Image, deb: Pat
     assert log.exists()
 
 
+def test_what_was_compiled_goes_before_other_modules_come(image: Image, deb: Path) -> None:
+    compiled = image.root / "opt/fsai/lib/__pycache__/module.pyc"
+    for words in (["-i", deb], ["-r", "fsai-vcu"]):
+        compiled.parent.mkdir(parents=True)
+        compiled.touch()
+        assert image.dpkg(*words).returncode == 0
+        assert not compiled.exists()
+
+
+def test_purging_takes_a_log_folder_that_is_empty(image: Image) -> None:
+    assert image.dpkg("--purge", "fsai-vcu").returncode == 0
+    ours = [path for path in image.root.rglob("*fsai*") if "var/lib/dpkg" not in str(path)]
+    assert ours == []
+
+
 def test_the_rehearsal_unpacks_the_package_afresh(deb: Path, tmp_path: Path) -> None:
     Image(tmp_path / "machine", HAVE)
     root = tmp_path / "root"

@@ -1,34 +1,43 @@
 """The controller: plan, motion and run in, one vehicle command out.
 
 `mission_finished` means "stop now, for good": it is set once the plan says the last line is crossed and the stopping
-place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set likewise.
-Throttle and brake are never asked for together.
+place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set likewise: the
+mission ends so, or the car has stood for too long where it should drive. FINISHED would claim a mission that was not
+fulfilled. `note` says in words why it does not drive. Throttle and brake are never asked for together.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.control.path_tracking import lookahead_m, pursue
+from fsai_vcu.core.control.path_tracking import Line, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.speed_profile import speed_demand
+from fsai_vcu.core.control.speed_profile import speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.demo import DemoState, advance_demo
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import InspectionState, advance_inspection, inspection_of
-from fsai_vcu.core.planning.pose import lengths_along, to_odometry, to_vehicle
-from fsai_vcu.core.vehicle.odometry import MotionHistory, motion_at
-from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
+from fsai_vcu.core.vehicle.forces import brake_for, most_mps2, throttle_for
+from fsai_vcu.core.vehicle.odometry import CARRIED_NS, MotionHistory, motion_at
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami
 
 WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO})
 SPEED_LIMIT_MARGIN_MPS = 1.0  # the motors' own limit, over the speed aimed at: it guards, it does not control
+HELD_BELOW_MPS = 0.1  # so that a speed held does not exceed the one that is set
 NEARLY_AT_REST_MPS = 1.5
-AIR_DENSITY_KGPM3 = 1.2
+PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
+STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
+PREDICTED_IN = 5  # steps
+STEERED_KEPT = 50  # commands: half a second at 100 Hz
+LONGEST_STEP_S = 0.1  # between two commands; a longer one counts as this
+LEAST_BRAKE = 0.005  # the request's resolution: the brake makes its own least of it
 
 
 class Controller:
@@ -53,24 +62,36 @@ class Controller:
         self._mission = run.mission
         self._history.clear()
         self._last_plan: Plan | None = None  # for the logging fields
+        self._planned: Plan | None = None  # what line and profile were made of
+        self._line: Line | None = None
+        self._profile: Floats | None = None
         self._steering_rad = 0.0
+        self._steered = deque([(-1.0, 0.0)], STEERED_KEPT)  # when (s) which road angle (rad) was asked for
+        self._turned_rad = 0.0  # follows it, but for small changes to and fro
+        self._taken_up_rad = 0.0  # asked for beyond it, as the backlash is taken up to one side
+        self._acceleration_mps2 = 0.0  # asked for last …
+        self._accelerated_ns: int | None = None  # … and when
         self._braking = False
         self._finished = False
         self._estop = False
+        self._note = ""
+        self._stood_since_ns: int | None = None  # where it should drive
         self._inspection = InspectionState()
         self._demo = DemoState()
 
     def configure(self, settings: ControllerSettings) -> None:
         """Other settings from now on; the run goes on."""
         self._settings = settings
+        self._planned = None
         self._max_steer_rad = min(self._car.steer_max_rad, settings.max_steer_rad)
 
-    def max_speed_mps(self, mission: Ami) -> float:
-        """The most that is driven in a mission."""
+    def max_speed_mps(self, mission: Ami, mapped: bool = False) -> float:
+        """The most that is driven in a mission, on a path that follows a map or on one that does not."""
         settings = self._settings
+        lap = settings.race_max_speed_mps if mapped else settings.lap_max_speed_mps
         own = {
-            Ami.AUTOCROSS: settings.lap_max_speed_mps,
-            Ami.TRACKDRIVE: settings.lap_max_speed_mps,
+            Ami.AUTOCROSS: lap,
+            Ami.TRACKDRIVE: lap,
             Ami.SKIDPAD: settings.skidpad_max_speed_mps,
             Ami.ACCELERATION: settings.acceleration_max_speed_mps,
         }
@@ -111,7 +132,7 @@ class Controller:
             steer_rad = math.radians(steer_deg) if math.isfinite(steer_deg) else 0.0
             view = CarView(now_ns, motion, wheel_speeds_rpm, steer_rad, vehicle_standing)
             return self._without_path(view, run)
-        return self._along_path(plan, motion, run, now_ns)
+        return self._along_path(plan, motion, vehicle_standing, run, now_ns)
 
     def _without_path(self, view: CarView, run: Run) -> VehicleCommand:
         request: MissionRequest
@@ -141,16 +162,22 @@ class Controller:
             estop_request=self._estop,
         )
 
-    def _along_path(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> VehicleCommand:
+    def _along_path(
+        self, plan: Plan | None, motion: Motion, vehicle_standing: bool, run: Run, now_ns: int
+    ) -> VehicleCommand:
         if plan is not None:
             self._last_plan = plan
         last = self._last_plan
         throttle, brake = 0.0, 0.0
-        limit = self.max_speed_mps(run.mission) + SPEED_LIMIT_MARGIN_MPS
+        limit = self.max_speed_mps(run.mission, last is not None and last.mapped) + SPEED_LIMIT_MARGIN_MPS
+        self._note = ""
         if not run.may_move:
             self._steering_rad, self._braking, limit = 0.0, False, 0.0
+            self._steered.append((now_ns / 1e9, 0.0))
+            self._accelerated_ns = now_ns
         else:
             throttle, brake = self._drive(plan, motion, run, now_ns)
+            self._give_up(vehicle_standing, now_ns)
         return VehicleCommand(
             t_sensor_ns=plan.t_sensor_ns if plan is not None else motion.t_ns,
             run_id=run.run_id,
@@ -159,10 +186,24 @@ class Controller:
             brake=brake,
             speed_limit_mps=limit,
             mission_finished=self._finished,
+            estop_request=self._estop,
             laps=last.laps if last is not None else 0,
             cones_count_actual=last.cones_count_actual if last is not None else 0,
             cones_count_all=last.cones_count_all if last is not None else 0,
+            note=self._note,
         )
+
+    def _give_up(self, vehicle_standing: bool, now_ns: int) -> None:
+        """Ask for the end, with the reason, where the car has stood for too long instead of driving."""
+        if self._finished or not vehicle_standing:
+            self._stood_since_ns = None
+            return
+        if self._stood_since_ns is None:
+            self._stood_since_ns = now_ns
+        stood_s = (now_ns - self._stood_since_ns) / 1e9
+        if stood_s >= self._settings.give_up_s:
+            self._estop = True
+            self._note = f"the car has stood for {stood_s:.0f} s: {self._note or 'it does not do what it is asked'}"
 
     def _drive(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> tuple[float, float]:
         """Throttle and brake; the steering is left in `_steering_rad`."""
@@ -170,64 +211,119 @@ class Controller:
         speed = motion.speed_mps
         there = self._history.at(plan.t_sensor_ns) if plan is not None else None
         if plan is None or there is None:
-            return self._no_way()
+            return self._no_way("no plan from the planner")
         driven = motion_at(motion, now_ns).distance_m - there.distance_m
         stop_m = None if plan.stop_distance_m is None else plan.stop_distance_m - driven
         if plan.finished and (speed < NEARLY_AT_REST_MPS or (stop_m is not None and stop_m <= 0.1 * speed + 0.3)):
             self._finished = True
+        if plan is not self._planned:
+            self._planned, self._line = plan, line_of(np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2))
+            self._profile = None if self._line is None else self._profile_of(plan, self._line)
+        line = self._line
+        if line is None:
+            return self._no_way(f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
 
-        path = np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2)
-        if len(path) < 3 or not np.isfinite(path).all():
-            return self._no_way()
-        predicted = motion_at(motion, now_ns + round(settings.delay_s * 1e9))
-        here = to_vehicle(predicted, to_odometry(there, path))
-        along = lengths_along(here)
-        nearest = int((here[:, 0] ** 2 + here[:, 1] ** 2).argmin())
-        if along[-1] - along[nearest] < settings.path_min_m:
-            return self._no_way()
-        steering = pursue(here, along, nearest, lookahead_m(speed, settings), self._car.wheelbase_m)
-        if steering is not None:
-            self._steering_rad = self._within(steering)
+        x, y, course, travel = self._predicted(there, motion, now_ns)
+        station, left = line.beside(x, y, driven)
+        length_m = line.along_m[-1] - station
+        if length_m < settings.path_min_m:
+            return self._no_way(f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else ""))
+        curvature = math.tan(self._steered[-1][1]) / self._car.wheelbase_m
+        self._steer(curvature, steering_rate(line, station, left, course, curvature, speed), now_ns)
         if self._finished:
             return 0.0, settings.final_brake
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
         if age_s > settings.plan_lost_s:
             return 0.0, settings.gentle_brake
+        throttle, brake = self._accelerate(line, station - travel, speed, now_ns)
+        return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
-        allowed_mps, needed_mps2 = speed_demand(
-            here[nearest:],
-            along[nearest:] - along[nearest],
-            speed,
-            self.max_speed_mps(run.mission),
-            stop_m,
-            settings,
+    def _profile_of(self, plan: Plan, line: Line) -> Floats:
+        """Square of the speed along the line."""
+        settings = self._settings
+        here = line.beside(0.0, 0.0)[0]
+        sure = min(1.0, plan.confidence / settings.confidence_sure)
+        stops = plan.confidence < settings.confidence_min
+        end_m = min(float(line.along_m[-1]), here + plan.supported_m)
+        known = plan.mapped or plan.mission in PRESET
+        lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
+        return speed_profile(
+            line.curvature_1pm,
+            (self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS) * max(sure, 0.3),
+            (end_m, 0.0 if stops else settings.end_of_path_mps * sure),
+            None if plan.stop_distance_m is None else here + plan.stop_distance_m,
+            (lateral, settings.race_braking_mps2 if known else settings.braking_mps2, settings.stopping_mps2),
+            STEER_RATE_SHARE * self._car.steer_rate_radps / self._car.wheelbase_m,
         )
-        threshold = settings.brake_off_mps2 if self._braking else settings.brake_on_mps2
-        self._braking = needed_mps2 > threshold and speed > 0.3
-        if self._braking:
-            return 0.0, self._brake_for(min(needed_mps2, settings.braking_max_mps2))
-        if plan.finished or age_s > settings.plan_old_s or speed >= allowed_mps:
-            return 0.0, 0.0
-        return self._throttle_for(settings.speed_gain_1ps * (allowed_mps - speed), speed), 0.0
 
-    def _no_way(self) -> tuple[float, float]:
+    def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
+        """Where (m) the rear axle will be and where it will move to (rad) when the steering answers, in the vehicle
+        frame of `there`, and how far (m) it moves from now until then.
+
+        The steering has been told what the car will do until then. Tyres slip, so the axle moves further outward than
+        the car points.
+        """
+        delay_s = self._settings.delay_s + self._settings.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
+        t_s = min(now_ns - motion.t_ns, CARRIED_NS) / 1e9 + delay_s
+        steps = np.arange(PREDICTED_IN) + 0.5
+        asked = np.array(self._steered)
+        told_s = motion.t_ns / 1e9 - delay_s + steps * t_s / PREDICTED_IN
+        speed, way = motion.speed_mps, motion.speed_mps * t_s / PREDICTED_IN
+        turns = way * np.tan(np.interp(told_s, asked[:, 0], asked[:, 1])) / self._car.wheelbase_m
+        slip = self._settings.slip_radpmps2 * speed * motion.yaw_rate_radps
+        course = motion.yaw_rad - there.yaw_rad - slip
+        courses = course + turns.cumsum() - 0.5 * turns
+        dx, dy = motion.x_m - there.x_m, motion.y_m - there.y_m
+        cos, sin = math.cos(there.yaw_rad), math.sin(there.yaw_rad)
+        x = dx * cos + dy * sin + way * float(np.cos(courses).sum())
+        y = dy * cos - dx * sin + way * float(np.sin(courses).sum())
+        y -= slip * (motion.distance_m - there.distance_m)
+        return x, y, course + float(turns.sum()), speed * delay_s
+
+    def _steer(self, curvature_1pm: float, rate_1pms: float, now_ns: int) -> None:
+        """Change the curvature asked for last, as fast as the actuator turns, and beyond its backlash."""
+        car, settings = self._car, self._settings
+        last_s, last_rad = self._steered[-1]
+        now_s = now_ns / 1e9
+        if now_s - last_s > LONGEST_STEP_S:  # asked for until now
+            last_s = now_s - LONGEST_STEP_S
+            self._steered.append((last_s, last_rad))
+        step_s = now_s - last_s
+        wanted = self._within(math.atan(car.wheelbase_m * (curvature_1pm + rate_1pms * step_s)))
+        most = car.steer_rate_radps * step_s
+        road = min(max(wanted, last_rad - most), last_rad + most)
+        self._steered.append((now_s, road))
+        turned = road - self._turned_rad
+        if abs(turned) > settings.steer_play_rad:
+            self._turned_rad = road - math.copysign(settings.steer_play_rad, turned)
+            self._taken_up_rad = math.copysign(settings.backlash_share * car.steer_backlash_rad, turned)
+        self._steering_rad = self._within(road + self._taken_up_rad)
+
+    def _accelerate(self, line: Line, here_m: float, speed: float, now_ns: int) -> tuple[float, float]:
+        """Throttle and brake for the acceleration that meets the profile a moment ahead, of bounded jerk."""
+        settings = self._settings
+        assert self._profile is not None
+        later = speed + self._acceleration_mps2 * settings.reaction_s
+        ahead_m = here_m + speed * settings.reaction_s + max(later, 0.0) * settings.preview_s
+        aim = math.sqrt(float(np.interp(ahead_m, line.along_m, self._profile)))
+        wanted = (aim - later) / settings.preview_s
+        wanted = min(max(wanted, -settings.braking_max_mps2), most_mps2(self._car, speed))
+        if self._accelerated_ns is not None:
+            most = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
+            wanted = min(wanted, self._acceleration_mps2 + most)
+            if wanted > -settings.braking_max_mps2:  # what nobody could foresee is braked for at once
+                wanted = max(wanted, self._acceleration_mps2 - most)
+        self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
+        self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)
+        if self._braking and speed > 0.3:
+            return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
+        return throttle_for(self._car, wanted, speed), 0.0
+
+    def _no_way(self, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
-        self._braking = True
+        self._braking, self._note = True, why
+        self._acceleration_mps2 = 0.0
         return 0.0, self._settings.final_brake if self._finished else self._settings.gentle_brake
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)
-
-    def _brake_for(self, deceleration_mps2: float) -> float:
-        return min(max(deceleration_mps2 / (self._car.brake_full_mps2 * self._car.brake_excess), 0.0), 1.0)
-
-    def _throttle_for(self, acceleration_mps2: float, speed_mps: float) -> float:
-        """Fraction of the full axle torque that gives an acceleration on the level."""
-        car = self._car
-        force = (
-            (car.mass_kg + car.rotating_mass_kg) * acceleration_mps2
-            + car.rolling_resistance * car.mass_kg * GRAVITY_MPS2
-            + 0.5 * AIR_DENSITY_KGPM3 * car.drag_area_m2 * speed_mps**2
-        )
-        per_axle_nm = force * car.rolling_radius_m / max(car.driven_axles, 1)
-        return min(max(per_axle_nm / car.axle_torque_max_nm, 0.0), 1.0)

@@ -1,50 +1,49 @@
-"""How fast the path can be driven, and when to brake for what lies ahead on it."""
+"""How fast each point of a path can be passed, with everything that lies behind it."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.control.path_tracking import STEP_M
 
-CURVATURE_SPAN = 3  # points to either side between which the path's direction is compared
-
-
-def curvature_along(path_m: Floats) -> Floats:
-    """(N,) magnitude of curvature at each point, 1/m, from directions some points apart."""
-    count = len(path_m)
-    span = min(CURVATURE_SPAN, (count - 1) // 2)
-    if span < 1:
-        return np.zeros(count)
-    chord = path_m[span:] - path_m[:-span]
-    size = np.maximum(np.hypot(chord[:, 0], chord[:, 1]), 1e-6)
-    before, after = chord[:-span], chord[span:]
-    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    dot = before[:, 0] * after[:, 0] + before[:, 1] * after[:, 1]
-    inner = np.abs(np.arctan2(cross, dot)) / (0.5 * (size[:-span] + size[span:]))
-    return np.concatenate((np.full(span, inner[0]), inner, np.full(span, inner[-1])))
+SMOOTHED_OVER = 5  # points: a curvature counts for the speed when it lasts
+BRAKING_SHARE_MIN = 0.2  # of the braking, that is left in a corner at the limit of grip
 
 
-def speed_demand(
-    path_m: Floats,
-    ahead_m: Floats,
-    speed_mps: float,
-    max_speed_mps: float,
+def speed_profile(
+    curvature_1pm: Floats,
+    max_mps: float,
+    end: tuple[float, float],
     stop_m: float | None,
-    settings: ControllerSettings,
-) -> tuple[float, float]:
-    """The speed (m/s) from which planned braking still suffices for everything ahead, and the deceleration (m/s2) that
-    the most pressing of it needs at the present speed.
+    grip_mps2: tuple[float, float, float],
+    curvature_rate_1pms: float,
+) -> Floats:
+    """(N,) square of the highest speed (m2/s2) at each point of a path with points every `STEP_M`.
 
-    ahead_m: (N,) way from the car to each point; stop_m: way to the stopping place.
+    end: how far (m) the path is supported, and the speed (m/s) there; stop_m: where the car must stand;
+    grip_mps2: lateral, braking before corners and braking to the stop; lateral and braking share one ellipse.
+    curvature_rate_1pms: how fast (1/(m s)) the steering changes the curvature.
     """
-    limit = np.minimum(settings.lateral_mps2 / np.maximum(curvature_along(path_m), 1e-6), max_speed_mps**2)
-    limit[-1] = min(float(limit[-1]), settings.end_of_path_mps**2)
-    room = np.maximum(ahead_m - speed_mps * settings.reaction_s, 0.0)
-    square = min(float((limit + 2.0 * settings.braking_mps2 * room).min()), max_speed_mps**2)
-    needed = float(((speed_mps**2 - limit) / (2.0 * np.maximum(room, 0.5))).max())
-    if stop_m is not None:
-        stop_room = max(stop_m - speed_mps * settings.reaction_s, 0.0)
-        square = min(square, 2.0 * settings.stopping_mps2 * stop_room)
-        needed = max(needed, speed_mps**2 / (2.0 * max(stop_room, 0.5)))
-    return max(square, 0.0) ** 0.5, max(needed, 0.0)
+    lateral, braking, stopping = grip_mps2
+    count = len(curvature_1pm)
+    along = STEP_M * np.arange(count)
+    padded = np.pad(curvature_1pm, SMOOTHED_OVER // 2, mode="edge")
+    curvature = np.convolve(padded, np.full(SMOOTHED_OVER, 1.0 / SMOOTHED_OVER), mode="valid")
+    change = np.abs(np.gradient(curvature, STEP_M)) if count > 1 else np.zeros(count)
+    limit = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-6), max_mps**2)
+    limit = np.minimum(limit, (curvature_rate_1pms / np.maximum(change, 1e-6)) ** 2)
+    end_m, end_mps = end
+    limit = np.minimum(limit, end_mps**2 + 2.0 * braking * np.maximum(end_m - along, 0.0))
+    squares = limit.tolist()
+    used = (np.abs(curvature) / lateral).tolist()  # of the lateral grip, by the square of the speed
+    square = squares[-1]
+    for at in range(count - 2, -1, -1):
+        left = 1.0 - (used[at + 1] * square) ** 2
+        share = math.sqrt(left) if left > BRAKING_SHARE_MIN**2 else BRAKING_SHARE_MIN
+        square = min(squares[at], square + 2.0 * STEP_M * braking * share)
+        squares[at] = square
+    whole = np.array(squares)
+    return whole if stop_m is None else np.minimum(whole, 2.0 * stopping * np.maximum(stop_m - along, 0.0))

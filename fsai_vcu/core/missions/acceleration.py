@@ -1,110 +1,90 @@
-"""The acceleration mission: a straight lane between cones, and where on it the car is.
+"""The acceleration mission: a straight lane between two rows of cones, where in it the car is, and where it ends.
 
-The lane is a straight line in the odometry frame: lateral = offset + slope * along, in the frame of the staged car.
-Every observation fits it again to the cones around, starting from the line so far; so odometry may drift slowly.
+Lane frame: x along the middle, 0 where the car was staged; y to the left.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, from_car, misfit, on_course
 
-CONE_SIGMA_M = 0.2
-OFFSET_SIGMA_M = 0.15  # how far the line may move at the car from one observation to the next
-SLOPE_SIGMA = 0.02
-WIDTH_SIGMA_M = 0.5
-GATE_M = 0.9
+SEARCH = np.array([[0.0, y, yaw] for y in np.arange(-2.0, 2.1, 0.5) for yaw in np.radians(np.arange(-18.0, 19.0, 3.0))])
+SEARCH_SIGMA = np.array([0.01, 0.5, 0.05])
+SEARCH_HALF_WIDTHS_M = (1.5, 2.0, 2.5)
+SEARCH_M = 1.0  # of way after the staging place in which the lane is searched for, not tracked
+CONES_MIN = 6  # in its borders, before a lane is tracked; until then straight on by odometry
+NEARER = np.array([0.0, 1.0, 100.0])  # misfit per m2 and rad2 from where it should be: of places that fit alike
 IN_THE_WAY_M = 0.9  # a cone nearer to the lane's middle closes it
-FINISH_GATE_M = 8.0  # big orange cones count as the finish within this distance from where it is expected
+FINISH_GATE_M = 12.0  # big orange cones count as the finish within this distance from where it is expected
+GATE_WIDEST_M = 4.0  # of its cones from the lane's middle
+HALF_WIDTH_MIN_M, HALF_WIDTH_MAX_M = 1.2, 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class AccelerationState(Immutable):
-    """The lane's line in the frame of the staged car at (x, y, yaw) of the odometry frame."""
+@dataclass(frozen=True, slots=True, eq=False)
+class StraightLane:
+    """The car at `motion`: its pose (x, y, yaw) in the lane frame."""
 
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    finish_m: float  # along the line, for the rear axle
-    offset_m: float = 0.0
-    slope: float = 0.0
+    pose: Floats
+    motion: Motion
     half_width_m: float = 1.5
-    along_m: float = 0.0  # where the car is
+    found: bool = False
+
+    def borders(self, q: Floats) -> tuple[Floats, Floats]:
+        """As `registration.Borders`."""
+        y = q[..., 1]
+        normal = np.stack((np.zeros_like(y), np.where(y < 0.0, -1.0, 1.0)), axis=-1)
+        return np.abs(y) - self.half_width_m, normal
+
+    def ahead(self, length_m: float, step_m: float) -> Floats:
+        """(M, 2) of the lane's middle from beside the car on, in the vehicle frame."""
+        x = self.pose[0] + np.arange(0.0, length_m + 1e-9, step_m)
+        return from_car(self.pose, np.column_stack((x, np.zeros_like(x))))
 
 
-def staged_before(motion: Motion, settings: MissionSettings, nose_m: float) -> AccelerationState:
-    """The state of a car that stands before the start line, straight."""
-    finish = nose_m + settings.acceleration_staging_m + settings.acceleration_length_m
-    return AccelerationState(motion.x_m, motion.y_m, motion.yaw_rad, finish)
+def staged(motion: Motion) -> StraightLane:
+    """The lane of a car that has been staged in it, as straight as it could be."""
+    return StraightLane(np.zeros(3), motion)
 
 
-def _in_lane_frame(state: AccelerationState, xy_m: Floats) -> Floats:
-    cos, sin = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    dx, dy = xy_m[:, 0] - state.x_m, xy_m[:, 1] - state.y_m
-    return np.column_stack((cos * dx + sin * dy, cos * dy - sin * dx))
+def follow_lane(lane: StraightLane, motion: Motion, xy_m: Floats) -> StraightLane:
+    """The lane with the car at `motion`, which sees these cones (vehicle frame)."""
+    pose = carried(lane.pose, lane.motion, motion)
+    if len(xy_m) < (1 if lane.found else CONES_MIN):
+        return replace(lane, pose=pose, motion=motion)
+    if lane.found and pose[0] > SEARCH_M:
+        pose = fitted(lane.borders, pose[None, :], xy_m, TRACKED)[0]
+    else:
+        wide = (replace(lane, half_width_m=half_width) for half_width in SEARCH_HALF_WIDTHS_M)
+        _, pose, lane = min((_searched(one, pose, xy_m) for one in wide), key=lambda found: found[0])
+    off = np.abs(on_course(pose, xy_m)[:, 1]) - lane.half_width_m
+    near = off[np.abs(off) < GATE_M]
+    wider = 0.1 * float(np.median(near)) if len(near) >= CONES_MIN else 0.0
+    half_width = min(max(lane.half_width_m + wider, HALF_WIDTH_MIN_M), HALF_WIDTH_MAX_M)
+    return StraightLane(pose, motion, half_width, lane.found or len(near) >= CONES_MIN)
 
 
-def advance_acceleration(
-    state: AccelerationState, motion: Motion, cones_m: Floats, big_orange_m: Floats
-) -> AccelerationState:
-    """The state with the car at `motion` and these cones, all of them and the big orange ones (odometry frame)."""
-    car = _in_lane_frame(state, np.array([[motion.x_m, motion.y_m]]))[0]
-    along = float(car[0])
-    state = replace(state, along_m=along)
-    if len(cones_m):
-        points = _in_lane_frame(state, cones_m)
-        from_line = points[:, 1] - (state.offset_m + state.slope * points[:, 0])
-        side = np.sign(from_line)
-        # Unknowns: offset at the car, slope, half width. The line so far is the first guess.
-        rows = np.column_stack((np.ones(len(points)), points[:, 0] - along, side))
-        guess = np.array([state.offset_m + state.slope * along, state.slope, state.half_width_m])
-        prior = np.diag([OFFSET_SIGMA_M**-2, SLOPE_SIGMA**-2, WIDTH_SIGMA_M**-2])
-        fitted = guess.copy()
-        for _ in range(3):
-            residual = points[:, 1] - rows @ fitted
-            weight = np.where(np.abs(residual) < GATE_M, CONE_SIGMA_M**-2, 0.0)
-            weight = weight * np.minimum(1.0, 2.0 * CONE_SIGMA_M / np.maximum(np.abs(residual), 1e-9))  # Huber's
-            weighted = rows * weight[:, None]
-            fitted = fitted + np.linalg.solve(
-                weighted.T @ rows + prior, weighted.T @ residual + prior @ (guess - fitted)
-            )
-        slope = float(fitted[1])
-        state = replace(
-            state,
-            offset_m=float(fitted[0]) - slope * along,
-            slope=slope,
-            half_width_m=min(max(float(fitted[2]), 1.2), 3.0),
-        )
-    if len(big_orange_m):
-        gate = _in_lane_frame(state, big_orange_m)
-        lateral = gate[:, 1] - (state.offset_m + state.slope * gate[:, 0])
-        of_finish = (np.abs(gate[:, 0] - state.finish_m) < FINISH_GATE_M) & (np.abs(lateral) < 4.0)
-        if (of_finish & (lateral > 0)).any() and (of_finish & (lateral < 0)).any() and along < state.finish_m:
-            state = replace(state, finish_m=float(gate[of_finish, 0].mean()))
-    return state
+def _searched(lane: StraightLane, pose: Floats, xy_m: Floats) -> tuple[float, Floats, StraightLane]:
+    """How badly the best place fits to a lane of this width, and the place."""
+    poses = fitted(lane.borders, pose + SEARCH, xy_m, SEARCH_SIGMA, 1.5 * GATE_M)
+    costs = misfit(lane.borders, poses, xy_m) + (poses - pose) ** 2 @ NEARER
+    best = int(costs.argmin())
+    return float(costs[best]), poses[best], lane
 
 
-def closed_at(state: AccelerationState, cones_m: Floats) -> float | None:
-    """Where along the line cones close the lane behind the finish, or None: there is an end to every exit lane."""
-    if not len(cones_m):
-        return None
-    points = _in_lane_frame(state, cones_m)
-    lateral = np.abs(points[:, 1] - (state.offset_m + state.slope * points[:, 0]))
-    wall = points[(lateral < IN_THE_WAY_M) & (points[:, 0] > state.finish_m) & (points[:, 0] > state.along_m), 0]
+def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
+    """Where along the lane the finish is, seen these big orange cones (lane frame): between those on both sides."""
+    of_finish = np.abs(big_orange_m - (finish_m, 0.0)) < (FINISH_GATE_M, GATE_WIDEST_M)
+    gate = big_orange_m[of_finish.all(axis=1)]
+    both_sides = (gate[:, 1] > 0.0).any() and (gate[:, 1] < 0.0).any()
+    return float(gate[:, 0].mean()) if both_sides else finish_m
+
+
+def closed_at(after_m: float, cones_m: Floats) -> float | None:
+    """Where along the lane cones (lane frame) close it further on, or None: there is an end to every exit lane."""
+    wall = cones_m[(np.abs(cones_m[:, 1]) < IN_THE_WAY_M) & (cones_m[:, 0] > after_m), 0]
     return float(wall.min()) if len(wall) else None
-
-
-def line_ahead(state: AccelerationState, length_m: float, step_m: float) -> Floats:
-    """(M, 2) of the lane's middle from beside the car on, in the odometry frame."""
-    run = np.arange(0.0, length_m + 1e-9, step_m) / math.hypot(1.0, state.slope)
-    x = state.along_m + run
-    y = state.offset_m + state.slope * x
-    cos, sin = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    return np.column_stack((state.x_m + cos * x - sin * y, state.y_m + sin * x + cos * y))

@@ -11,6 +11,8 @@ import math
 from dataclasses import dataclass, replace
 
 from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.immutable import Immutable
 
 ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
@@ -70,8 +72,11 @@ def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: M
     if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < 0.5 * lap_min_m:
         return state  # just passed: what is in sight now may be the rest of the same gate
     if state.line.seen:
-        # The line stays where it is; only odometry drifts. A gate elsewhere is none.
+        # The line stays where it is; only odometry drifts. A gate elsewhere is none, nor one passed the other way: the
+        # lane may come back beside it.
         driven_m = max(0.0, motion.distance_m - state.line.at_distance_m)
+        if abs(math.remainder(yaw_rad - state.line.yaw_rad, 2.0 * math.pi)) > math.pi / 2.0:
+            return state
         if math.hypot(x_m - state.line.x_m, y_m - state.line.y_m) > GATE_SHIFT_M + DRIFT_MAX * driven_m:
             return state
     return replace(state, line=Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m))
@@ -96,3 +101,19 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     if blind_m > 0.5 * lap_min_m:
         line = Line(motion.x_m, motion.y_m, motion.yaw_rad, seen=line.seen, at_distance_m=motion.distance_m)
     return LapState(line, state.passages + 1, armed=False, passed_at_m=motion.distance_m)
+
+
+class LapCounter:
+    """Laps for a planner of one's own: made anew for each run, with the car where odometry begins: its staging place.
+
+    It knows the line by odometry alone, and lays it anew at each passage: a lap's drift counts, not the run's.
+    """
+
+    def __init__(self, missions: MissionSettings | None = None) -> None:
+        self._missions = missions or MissionSettings()
+        self._state = staged(Motion(), ADS_DV_2026.nose_ahead_of_rear_axle_m + self._missions.lap_staging_m)
+
+    def laps(self, motion: Motion) -> int:
+        """Laps completed, with the car at `motion`: to be asked with every motion."""
+        self._state = advance_laps(self._state, motion, self._missions.lap_min_m)
+        return self._state.laps

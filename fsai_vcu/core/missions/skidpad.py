@@ -1,9 +1,8 @@
-"""The skidpad: its figure of eight as a path, where on it the car is, and where it is in the odometry frame.
+"""The skidpad: its figure of eight, found in the cones, and how far along it the car is.
 
 Course frame: origin where the two circles touch, x along the way in and out, y to the left. The right circle is driven
-first. The path crosses itself, so the car's place on it is advanced by the way driven and corrected only nearby.
-Position is corrected by every cone seen: a cone must stand on one of the four circles or beside the lanes in and out.
-Where on its circle it stands does not matter, so the course may be laid with any number of cones.
+first. Progress is the length of path driven since the first passage of the origin, less than 0 before it. The path
+crosses itself, so progress is advanced by the way driven and corrected only nearby.
 """
 
 from __future__ import annotations
@@ -15,225 +14,150 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, misfit
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.interface.immutable import Immutable
 
-STEP_M = 0.25  # of the path's table
-LEAD_M = 10.0  # of path before the staging place
-EXIT_M = 60.0
-
-CONE_SIGMA_M = 0.15
-FEATURE_GATE_M = 0.9  # a cone further from every feature is none of the course's
-DRIFT_SIGMA_M = 0.05  # of odometry between two observations, generously
-DRIFT_SIGMA_RAD = 0.01
-AMBIGUOUS_M = 0.7  # a cone about as near to a second feature says less
-ITERATIONS = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SkidpadCourse:
-    """The path as a table. xy_m: (N, 2) course frame, one point every `STEP_M`; entry_m and lap_m: lengths."""
-
-    xy_m: Floats
-    heading_rad: Floats
-    staged_at_m: float  # of path where the staged car's rear axle stands
-    entry_m: float  # of path up to the first passage of the origin
-    lap_m: float
-    laps: int
-    circle_y_m: float
-    inner_m: float
-    outer_m: float
-    half_lane_m: float
-
-    @property
-    def finish_m(self) -> float:
-        """Length of path at the last passage of the origin."""
-        return self.entry_m + self.laps * self.lap_m
-
-
-def skidpad_course(settings: MissionSettings, nose_m: float) -> SkidpadCourse:
-    """The course of these settings for a car whose nose is `nose_m` ahead of its rear axle."""
-    circle_y = 0.5 * settings.skidpad_centres_m
-    inner = 0.5 * settings.skidpad_inner_diameter_m
-    radius = inner + 0.5 * settings.skidpad_lane_m
-    lap = 2.0 * math.pi * radius
-    entry = settings.skidpad_staging_m + nose_m + LEAD_M
-    per_side = settings.skidpad_laps_per_side
-    laps = 2 * per_side
-    s = np.arange(0.0, entry + laps * lap + EXIT_M, STEP_M)
-    on_circles = s - entry
-    right, left = on_circles < per_side * lap, on_circles < laps * lap
-    sign = np.where(right, -1.0, 1.0)
-    turn = on_circles / radius
-    x = np.where(on_circles < 0.0, on_circles, np.where(left, radius * np.sin(turn), on_circles - laps * lap))
-    circling = (on_circles >= 0.0) & left
-    y = np.where(circling, sign * radius * (1.0 - np.cos(turn)), 0.0)
-    heading = np.where(circling, sign * turn, 0.0)
-    # The circles touch where their centres' distance says, which need not be twice the driven radius.
-    y += np.where(circling, sign * (circle_y - radius) * 0.5 * (1.0 - np.cos(turn)), 0.0)
-    return SkidpadCourse(
-        xy_m=np.column_stack((x, y)),
-        heading_rad=heading,
-        staged_at_m=LEAD_M,
-        entry_m=entry,
-        lap_m=lap,
-        laps=laps,
-        circle_y_m=circle_y,
-        inner_m=inner,
-        outer_m=inner + settings.skidpad_lane_m,
-        half_lane_m=0.5 * settings.skidpad_lane_m,
-    )
+# Where the car may be on the way in when the circles are searched for; y and yaw from where it should be.
+SEARCH_X_M = np.arange(-30.0, -1.9, 0.8)
+SEARCH_ASIDE = np.array(
+    [(y, yaw) for y in np.arange(-3.0, 3.1, 1.0) for yaw in np.radians(np.arange(-15.0, 16.0, 5.0))]
+)
+SEARCH_SIGMA = np.array([1.0, 1.0, 0.1])
+NEARER = np.array([0.0, 1.0, 100.0])  # misfit per m2 and rad2 from where it should be: of places that fit alike
+LANE_CONES_MIN = 6  # fewer fit anywhere: straight on by odometry
+CONES_MIN = 8  # seen, before the circles count as found
+MISFIT_MAX = 6.0  # of a cone in the mean: a sixth of them may stand on no border
+ELSEWHERE_M = 1.5  # places nearer to each other than this are one
+LEAD_MIN = 40.0  # misfit by which the best place must lead: more than a cone on no border
+# Along the path, tried when tracking: a circle alone does not say where on it the car is, but a crossing does.
+SLIPS_M = np.arange(-1.8, 1.9, 0.6)
+JUMP_M = 2.0  # progress is corrected by no more
 
 
 @dataclass(frozen=True, slots=True)
-class SkidpadState(Immutable):
-    """Where the odometry frame lies in the course frame, and how far along the path the car is."""
+class SkidpadCourse(Immutable):
+    """The course by the rules."""
 
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    progress_m: float
-    distance_m: float  # driven when `progress_m` was found
-    placed: int = 0  # observations by which the start was searched
+    radius_m: float  # driven; the circles' centres are so far to either side of the origin
+    inner_m: float
+    outer_m: float
+    half_lane_m: float
+    laps: int
 
-    def course_pose(self, motion: Motion) -> tuple[float, float, float]:
-        """The car's pose in the course frame."""
-        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        return (
-            self.x_m + cos * motion.x_m - sin * motion.y_m,
-            self.y_m + sin * motion.x_m + cos * motion.y_m,
-            self.yaw_rad + motion.yaw_rad,
-        )
+    @property
+    def lap_m(self) -> float:
+        return 2.0 * math.pi * self.radius_m
 
+    @property
+    def finish_m(self) -> float:
+        """Progress at the last passage of the origin."""
+        return self.laps * self.lap_m
 
-def staged_on(course: SkidpadCourse, motion: Motion) -> SkidpadState:
-    """The state of a car that stands at the staging place, straight."""
-    cos, sin = math.cos(-motion.yaw_rad), math.sin(-motion.yaw_rad)
-    at = course.staged_at_m - course.entry_m
-    return SkidpadState(
-        x_m=at - (cos * motion.x_m - sin * motion.y_m),
-        y_m=-(sin * motion.x_m + cos * motion.y_m),
-        yaw_rad=-motion.yaw_rad,
-        progress_m=course.staged_at_m,
-        distance_m=motion.distance_m,
-    )
+    def borders(self, q: Floats) -> tuple[Floats, Floats]:
+        """As `registration.Borders`: the two circles on the point's own side, or the lane in and out."""
+        x, side = q[..., 0], np.where(q[..., 1] < 0.0, -1.0, 1.0)
+        left = np.abs(q[..., 1])
+        out = left - self.radius_m
+        reach = np.maximum(np.hypot(x, out), 1e-6)
+        inner, outer = reach - self.inner_m, reach - self.outer_m
+        circle = np.where(np.abs(inner) < np.abs(outer), inner, outer)
+        lane = left - self.half_lane_m
+        # The lanes in and out end where the circles begin.
+        in_lane = (np.abs(lane) < np.abs(circle)) & (np.abs(x) > 0.75 * self.inner_m)
+        normal = np.stack((np.where(in_lane, 0.0, x / reach), side * np.where(in_lane, 1.0, out / reach)), axis=-1)
+        return np.where(in_lane, lane, circle), normal
 
-
-def _residuals(course: SkidpadCourse, q: Floats) -> tuple[Floats, Floats, Floats]:
-    """Distance of each point from its nearest feature (signed), the feature's normal there, and a weight 0…1."""
-    found: list[Floats] = []
-    normals: list[Floats] = []
-    for centre_y in (-course.circle_y_m, course.circle_y_m):
-        out = q - np.array([0.0, centre_y])
-        reach = np.maximum(np.hypot(out[:, 0], out[:, 1]), 1e-6)
-        normal = out / reach[:, None]
-        for radius in (course.inner_m, course.outer_m):
-            found.append(reach - radius)
-            normals.append(normal)
-    across = np.tile(np.array([0.0, 1.0]), (len(q), 1))
-    in_lane = np.abs(q[:, 0]) > 0.75 * course.inner_m  # the lanes in and out end where the circles begin
-    for side_y in (-course.half_lane_m, course.half_lane_m):
-        found.append(np.where(in_lane, q[:, 1] - side_y, np.inf))
-        normals.append(across)
-    table = np.stack(found)
-    size = np.abs(table)
-    best = size.argmin(axis=0)
-    rows = np.arange(len(q))
-    ordered = np.sort(size, axis=0)
-    weight = np.where(ordered[1] - ordered[0] < AMBIGUOUS_M, 0.3, 1.0)
-    return table[best, rows], np.stack(normals)[best, rows], weight
+    def path(self, progress_m: Floats) -> Floats:
+        """(M, 2) the path's points at these progresses."""
+        p = progress_m
+        turn = p / self.radius_m
+        circling = (p >= 0.0) & (p < self.finish_m)
+        side = np.where(p < 0.5 * self.finish_m, -1.0, 1.0)
+        x = np.where(circling, self.radius_m * np.sin(turn), np.where(p < 0.0, p, p - self.finish_m))
+        return np.column_stack((x, np.where(circling, side * self.radius_m * (1.0 - np.cos(turn)), 0.0)))
 
 
-def _registered(
-    course: SkidpadCourse, state: SkidpadState, motion: Motion, odometry_xy_m: Floats, gate_m: float, drift: float
-) -> SkidpadState:
-    """The state moved so that the cones (odometry frame) stand on the course, not further than drift explains."""
-    current = state
-    car = np.array([motion.x_m, motion.y_m])
-    total = np.zeros(3)  # moved so far: x, y at the car, and yaw
-    prior = np.diag([1.0 / (drift * DRIFT_SIGMA_M) ** 2] * 2 + [1.0 / (drift * DRIFT_SIGMA_RAD) ** 2])
-    for _ in range(ITERATIONS):
-        cos, sin = math.cos(current.yaw_rad), math.sin(current.yaw_rad)
-        rotation = np.array([[cos, -sin], [sin, cos]])
-        origin = np.array([current.x_m, current.y_m])
-        q, here = odometry_xy_m @ rotation.T + origin, rotation @ car + origin
-        residual, normal, weight = _residuals(course, q)
-        weight = np.where(np.abs(residual) < gate_m, weight / CONE_SIGMA_M**2, 0.0)
-        weight = weight * np.minimum(1.0, 2.0 * CONE_SIGMA_M / np.maximum(np.abs(residual), 1e-9))  # Huber's
-        arm = q - here
-        jacobian = np.column_stack((normal, normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]))
-        weighted = jacobian * weight[:, None]
-        step = np.linalg.solve(weighted.T @ jacobian + prior, -(weighted.T @ residual) - prior @ total)
-        total += step
-        turn = float(step[2])
-        cos, sin = math.cos(turn), math.sin(turn)
-        away = origin - here  # the whole turns about the car
-        origin = here + np.array([cos * away[0] - sin * away[1], sin * away[0] + cos * away[1]]) + step[:2]
-        current = replace(current, x_m=float(origin[0]), y_m=float(origin[1]), yaw_rad=current.yaw_rad + turn)
-        if float(np.abs(step).max()) < 1e-4:
-            break
-    return current
+def skidpad_course(settings: MissionSettings) -> SkidpadCourse:
+    inner = 0.5 * settings.skidpad_inner_diameter_m
+    lane = settings.skidpad_lane_m
+    laps = 2 * settings.skidpad_laps_per_side
+    return SkidpadCourse(0.5 * settings.skidpad_centres_m, inner, inner + lane, 0.5 * lane, laps)
 
 
-def _misfit(course: SkidpadCourse, state: SkidpadState, odometry_xy_m: Floats) -> float:
-    cos, sin = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    q = odometry_xy_m @ np.array([[cos, sin], [-sin, cos]]) + np.array([state.x_m, state.y_m])
-    residual, _, _ = _residuals(course, q)
-    return float(np.minimum(residual**2, FEATURE_GATE_M**2).sum())
+@dataclass(frozen=True, slots=True, eq=False)
+class SkidpadState:
+    """The car at `motion`: its pose (x, y, yaw) in the course frame, and its progress.
+
+    Until the circles are `found` only y and yaw are known, from the lane in.
+    """
+
+    pose: Floats
+    motion: Motion
+    progress_m: float = -math.inf
+    found: bool = False
 
 
-def place_start(course: SkidpadCourse, state: SkidpadState, motion: Motion, odometry_xy_m: Floats) -> SkidpadState:
-    """Before the car has driven: find where on the way in it really stands, some metres either way."""
-    best, best_misfit = state, math.inf
-    for ahead in np.arange(-4.0, 4.01, 0.8):
-        for yaw in (-0.08, 0.0, 0.08):
-            x, y, _ = state.course_pose(motion)
-            cos, sin = math.cos(yaw), math.sin(yaw)
-            dx, dy = state.x_m - x, state.y_m - y
-            moved = replace(
-                state,
-                x_m=x + cos * dx - sin * dy + float(ahead),
-                y_m=y + sin * dx + cos * dy,
-                yaw_rad=state.yaw_rad + yaw,
-            )
-            misfit = _misfit(course, moved, odometry_xy_m) + 0.02 * float(ahead) ** 2 + 10.0 * yaw * yaw
-            if misfit < best_misfit:
-                best, best_misfit = moved, misfit
-    best = _registered(course, best, motion, odometry_xy_m, 1.5 * FEATURE_GATE_M, drift=8.0)
-    x, _, _ = best.course_pose(motion)
-    return replace(best, progress_m=course.entry_m + x, distance_m=motion.distance_m, placed=state.placed + 1)
+def staged(motion: Motion) -> SkidpadState:
+    """The state of a car that has been staged in the lane in, as straight as it could be."""
+    return SkidpadState(np.zeros(3), motion)
 
 
-def advance_skidpad(course: SkidpadCourse, state: SkidpadState, motion: Motion, odometry_xy_m: Floats) -> SkidpadState:
-    """The state with the car at `motion`, which sees these cones (odometry frame)."""
-    if len(odometry_xy_m) >= 2:
-        state = _registered(course, state, motion, odometry_xy_m, FEATURE_GATE_M, drift=1.0)
-    x, y, heading = state.course_pose(motion)
-    expected = state.progress_m + max(0.0, motion.distance_m - state.distance_m)
-    low = max(0, round((expected - 2.0) / STEP_M))
-    high = min(len(course.xy_m), round((expected + 2.0) / STEP_M) + 1)
-    if low >= high:
-        return replace(state, progress_m=expected, distance_m=motion.distance_m)
-    near = course.xy_m[low:high]
-    turned = np.cos(course.heading_rad[low:high] - heading)
-    cost = np.hypot(near[:, 0] - x, near[:, 1] - y) + 1.0 * (1.0 - turned)
-    index = low + int(cost.argmin())
-    tangent = course.heading_rad[index]
-    rest = (x - course.xy_m[index, 0]) * math.cos(tangent) + (y - course.xy_m[index, 1]) * math.sin(tangent)
-    progress = index * STEP_M + min(max(rest, -STEP_M), STEP_M)
-    return replace(state, progress_m=max(state.progress_m, progress), distance_m=motion.distance_m)
+def search_skidpad(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> SkidpadState:
+    """The state with the car where it must be on the way in to see these cones (vehicle frame).
+
+    Found is what two looks in a row agree on. The lane alone does not say where along it the car is: it is only
+    followed then.
+    """
+    if len(xy_m) < LANE_CONES_MIN:
+        return state
+    cells = np.empty((len(SEARCH_X_M), len(SEARCH_ASIDE), 3))
+    cells[..., 0], cells[..., 1:] = SEARCH_X_M[:, None], state.pose[1:] + SEARCH_ASIDE
+    costs = misfit(course.borders, cells, xy_m) + (cells - state.pose) ** 2 @ NEARER
+    poses = cells[np.arange(len(cells)), costs.argmin(axis=1)]
+    poses = fitted(course.borders, poses, xy_m, SEARCH_SIGMA, 1.5 * GATE_M)
+    costs = misfit(course.borders, poses, xy_m) + (poses - state.pose) ** 2 @ NEARER
+    first = int(costs.argmin())
+    pose = poses[first]
+    elsewhere = np.hypot(*(poses[:, :2] - pose[:2]).T) > ELSEWHERE_M
+    lead = costs[elsewhere].min(initial=math.inf) - costs[first]
+    clear = len(xy_m) >= CONES_MIN and lead > LEAD_MIN and costs[first] < MISFIT_MAX * len(xy_m)
+    agrees = math.dist(pose[:2], state.pose[:2]) < ELSEWHERE_M
+    if state.found and (agrees or not clear):
+        return state  # tracking knows it better
+    found = bool(clear and agrees)  # false cones may look like the circles once, but not twice at the same place
+    return SkidpadState(pose, state.motion, float(pose[0]) if found else -math.inf, found)
 
 
-def path_ahead(course: SkidpadCourse, state: SkidpadState, length_m: float, step_m: float) -> Floats:
-    """(M, 2) of the path from the car on, in the odometry frame."""
-    at = state.progress_m + np.arange(0.0, length_m + 1e-9, step_m)
-    stations = np.arange(len(course.xy_m)) * STEP_M
-    at = at[at <= stations[-1]]
-    xy = np.column_stack((np.interp(at, stations, course.xy_m[:, 0]), np.interp(at, stations, course.xy_m[:, 1])))
-    cos, sin = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    moved = xy - np.array([state.x_m, state.y_m])
-    return np.column_stack((cos * moved[:, 0] + sin * moved[:, 1], cos * moved[:, 1] - sin * moved[:, 0]))
+def advance_skidpad(course: SkidpadCourse, state: SkidpadState, motion: Motion, xy_m: Floats) -> SkidpadState:
+    """The state with the car at `motion`, which sees these cones (vehicle frame)."""
+    pose = carried(state.pose, state.motion, motion)
+    if not state.found:
+        return replace(state, pose=pose, motion=motion)
+    expected = state.progress_m + max(0.0, motion.distance_m - state.motion.distance_m)
+    side = 0.0 if not 0.0 <= expected < course.finish_m else -1.0 if expected < 0.5 * course.finish_m else 1.0
+    if len(xy_m) >= 2:
+        poses = fitted(course.borders, _slipped(course, pose, side), xy_m, TRACKED)
+        costs = misfit(course.borders, poses, xy_m)
+        costs[len(costs) // 2] -= LEAD_MIN  # of the one that has not slipped
+        pose = poses[int(costs.argmin())]
+    at = float(pose[0])
+    if side:
+        at = course.radius_m * math.atan2(at, course.radius_m - side * float(pose[1]))
+        at = expected + math.remainder(at - expected, course.lap_m)
+    elif expected > 0.0:
+        at += course.finish_m
+    at = min(max(at, expected - JUMP_M), expected + JUMP_M)
+    return replace(state, pose=pose, motion=motion, progress_m=max(state.progress_m, at))
+
+
+def _slipped(course: SkidpadCourse, pose: Floats, side: float) -> Floats:
+    """(H, 3) the pose, and it moved along the lane (side 0) or round the circle on that side (-1 right, 1 left)."""
+    turn = side * SLIPS_M / course.radius_m
+    cos, sin = np.cos(turn), np.sin(turn)
+    x, y = pose[0] + (SLIPS_M if side == 0.0 else 0.0), pose[1] - side * course.radius_m
+    return np.column_stack((cos * x - sin * y, sin * x + cos * y + side * course.radius_m, pose[2] + turn))
 
 
 def laps_done(course: SkidpadCourse, state: SkidpadState) -> int:
-    return min(course.laps, max(0, int((state.progress_m - course.entry_m + 0.01) // course.lap_m)))
+    return min(course.laps, max(0, int((state.progress_m + 0.01) // course.lap_m))) if state.found else 0

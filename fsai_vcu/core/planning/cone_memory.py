@@ -59,6 +59,7 @@ _CONE = np.dtype(
     ]
 )
 GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
+OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
 class ConeMemory:
@@ -145,8 +146,11 @@ class ConeMemory:
         has_color = colored.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
         color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
         by_color = np.where(color == ConeColor.BLUE, 1.0, np.where(color == ConeColor.YELLOW, -1.0, 0.0))
-        by_lane = np.clip(known["side"][index] / 4.0, -0.6, 0.6)
-        side = np.where(by_color != 0.0, by_color, by_lane)
+        lane = known["side"][index]
+        # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
+        contrary = np.clip(by_color + lane / OUTVOTES, -1.0, 1.0)
+        by_lane = np.clip(lane / 4.0, -0.6, 0.6)
+        side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
         return Cones(here[index], color.astype(np.int64), side, index)
 
     def vote(self, index: Ints, side: Floats) -> None:

@@ -9,6 +9,7 @@ Then the chain is moved to the middle between the borders and smoothed.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -27,13 +28,21 @@ Bools = NDArray[np.bool_]
 # it is a border, beyond OUTSIDE it belongs to something else. The car is 1.43 m wide.
 INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 
-REWARD_KNOWN, REWARD_UNKNOWN = 1.0, 0.8
+# A detector swaps the colours of one cone in twenty, and of the same one in every look: a cone on the other side than
+# its colour says costs less than two of a border are worth.
+REWARD_KNOWN, REWARD_UNKNOWN, REWARD_CONTRARY = 1.0, 0.8, 0.5
+REWARD_UNSEEN = 0.5  # of an arc beyond all cones: else a way back through those seen is better than the way on
 COST_IN_THE_WAY = 2.5
-COST_WRONG_SIDE = 1.5
-COST_BENDING = 0.8  # of a change from straight to the tightest arc
-COST_CURVATURE = 0.25
-
+COST_WRONG_SIDE = 0.4
+COST_BENDING = 1.42  # of a change from straight to the tightest arc
+COST_CURVATURE = 0.44
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
+
+BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
+ONE_BORDER = 0.6  # confidence where only one border is seen
+MARGIN = 1.0  # by so much (about the reward of a cone) another way has to be worse for two thirds of confidence
+ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
+ARCS_AHEAD = 4
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 
@@ -42,11 +51,15 @@ BACKWARD_M = 4.0  # how far behind the car the borders are used
 class Lane:
     """The lane ahead. path_m: (M, 2) vehicle frame, from beside the car forward, empty when no lane was found;
     side: (N,) for each cone given, +1 surely on its left … -1 surely on its right, 0 neither;
-    half_width_m: estimate."""
+    half_width_m: estimate; supported_m: how far from the car on the borders bear the path out; confidence: 0…1;
+    note: why there is no path, or why it is doubted."""
 
     path_m: Floats
     side: Floats
     half_width_m: float
+    supported_m: float
+    confidence: float
+    note: str
 
 
 def find_lane(
@@ -56,10 +69,14 @@ def find_lane(
 
     `nose_m`: from the car's rear axle, which follows the path, to its nose.
     """
-    none = Lane(NO_PATH, np.zeros(len(cones.xy_m)), half_width_m)
-    if len(cones.xy_m) < 2:
+    count = len(cones.xy_m)
+    why = f"no lane among {count} cone{'s' * (count != 1)}" if count else "no cones"
+    none = Lane(NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, why)
+    ahead = cones.xy_m[:, 0] > -BEHIND_M
+    if ahead.sum() < 2:
         return none
-    line = _with_backward(_search(cones.xy_m, cones.side, settings), curvature_1pm, settings)
+    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], settings)
+    line = _with_backward(line, curvature_1pm, settings)
     half_width = half_width_m
     for _ in range(2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
@@ -68,15 +85,31 @@ def find_lane(
     line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
     start = int(np.argmin(np.hypot(line[:, 0], line[:, 1])))
-    ahead = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
-    if len(ahead) < 3:
+    way = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
+    if len(way) < 3:
         return none
+    path = resampled(way, settings.path_step_m)
     vote = np.where((along > -2.0) & (along < VOTE_M), sides * np.clip(1.2 - along / VOTE_M, 0.2, 1.0), 0.0)
-    return Lane(
-        resampled(ahead, settings.path_step_m),
-        vote,
-        half_width,
-    )
+    supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
+    beside = (along > 0.0) & (along <= end_m)
+    confidence, note = _doubts(sides[beside], cones.side[beside], margin)
+    return Lane(path, vote * confidence, half_width, supported_m, confidence, note)
+
+
+def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
+    """Confidence (0…1) and a note about a lane with cones that stand beside it so, but should by what is known."""
+    left, right = int((stands > 0).sum()), int((stands < 0).sum())
+    contrary = int((stands * side < -0.3).sum())
+    sure = 1.0 - math.exp(-margin / MARGIN)
+    confidence = sure * (1.0 - contrary / max(1, left + right)) * (1.0 if left and right else ONE_BORDER)
+    notes = []
+    if not (left and right):
+        notes.append(f"only the {'left' if left else 'right'} border is seen")
+    if contrary > 1:
+        notes.append(f"{contrary} of {left + right} cones have the colour of the other side")
+    if sure < 0.3:
+        notes.append("another way through the cones is nearly as good")
+    return confidence, "; ".join(notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +124,7 @@ class _Fan:
     quarters_m: Floats  # (4,) way along an arc to each of its points
 
 
-STRAIGHT_ON = 4  # the bend with which a chain begins
+STRAIGHT_ON = 5  # the bend with which a chain begins
 X, Y, HEADING, COS, SIN, COST = range(6)  # rows of an array of poses
 CELLS = np.array([[0.7], [0.7], [0.3]])  # m, m, rad: poses as near as that are about the same
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
@@ -103,7 +136,7 @@ RAMP_SPAN_M = np.array([BORDER_NEAR_M - INSIDE_M, OUTSIDE_M - BORDER_FAR_M])[:, 
 @cache
 def _fan(settings: PlannerSettings) -> _Fan:
     step, tightest = settings.step_m, settings.curvature_max_1pm
-    bends = np.array([-1.0, -0.62, -0.34, -0.14, 0.0, 0.14, 0.34, 0.62, 1.0]) * tightest
+    bends = np.array([-1.0, -0.75, -0.47, -0.26, -0.11, 0.0, 0.11, 0.26, 0.47, 0.75, 1.0]) * tightest
     jerk = np.abs(bends[None, :] - bends[:, None]) / tightest
     return _Fan(
         bends,
@@ -115,23 +148,26 @@ def _fan(settings: PlannerSettings) -> _Fan:
     )
 
 
-def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
-    """The best chain of arcs from the origin along x, as (M, 2) points every quarter of a step.
+def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats, float]:
+    """The best chain of arcs from the origin along x, as (M, 2) points every quarter of a step; and by how much the
+    best chain that leads elsewhere costs more.
 
-    Half of a simulation's time went into this. The arrays are small (a dozen cones, 14 poses, 9 arcs each), so the
-    number of numpy's calls and of its inner loops counts, not the sum of the elements: x and y are treated in one call,
-    cones are rows and arcs columns, what is constant is kept, and costs are computed only for the one pair of arc and
-    cone in fifteen that stand beside each other. Together that takes a third of the time.
+    The arrays are small (a dozen cones, 28 poses, 11 arcs each), so the number of numpy's calls and of its inner loops
+    counts, not the sum of the elements: x and y are treated in one call, cones are rows and arcs columns, what is
+    constant is kept, and costs are computed only for the one pair of arc and cone in fifteen that stand beside each
+    other.
     """
     fan = _fan(settings)
-    step, levels = settings.step_m, max(2, round(settings.horizon_m / settings.step_m))
+    step = settings.step_m
+    reach_m = float(np.hypot(xy[:, 0], xy[:, 1]).max())
+    levels = max(2, math.ceil(min(settings.horizon_m, reach_m + step) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
     cones = np.ascontiguousarray(xy.T)[:, :, None]
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
     # lanes say) is there.
     may_stand = np.stack((side > -0.3, side < 0.3))
-    reward = (np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN) * may_stand).ravel()
+    reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY).ravel()
     wrong = np.maximum(0.0, np.concatenate((-side, side)))
 
     poses = np.array([[0.0], [0.0], [0.0], [1.0], [0.0], [0.0]])
@@ -174,6 +210,8 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
         cost = poses[COST].repeat(n_bends) + np.bincount(arc, charge, n_arcs)
         ends[COST] = (cost.reshape(n_poses, n_bends) + fan.bending_cost.take(bend, axis=0) + fan.curvature_cost).ravel()
 
+        ends[COST, np.hypot(ends[X], ends[Y]) > reach_m] -= REWARD_UNSEEN
+
         # Keep the best; of chains that end at about the same pose only the best one.
         order = ends[COST].argsort(kind="stable")
         cell = CELL_NUMBER @ np.floor(ends[: HEADING + 1] / CELLS)
@@ -200,7 +238,19 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
     along = fan.quarters_m
     turn = heading + 0.5 * along * curvature
     points = np.stack((x + along * np.cos(turn), y + along * np.sin(turn)), axis=-1)
-    return np.concatenate((points.reshape(-1, 2), last[None, :]))
+    return np.concatenate((points.reshape(-1, 2), last[None, :])), _margin(history, poses)
+
+
+def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats) -> float:
+    """How much more than the best chain the best one costs that is elsewhere after `ARCS_AHEAD` arcs."""
+    passed = np.arange(poses.shape[1])
+    for _, parent, _ in reversed(history[ARCS_AHEAD:]):
+        passed = parent.take(passed)
+    there = history[ARCS_AHEAD][0] if len(history) > ARCS_AHEAD else poses
+    at = there[: Y + 1].take(passed, axis=1)
+    best = int(poses[COST].argmin())
+    others = np.hypot(*(at - at[:, best, None])) > ELSEWHERE_M
+    return float(poses[COST].min(where=others, initial=np.inf) - poses[COST, best])
 
 
 def _seen_from(poses: Floats, cones: Floats) -> tuple[Floats, Floats]:
@@ -302,8 +352,9 @@ def _centred(
 ) -> tuple[Floats, Floats, Floats, float, float]:
     """The line moved to the middle between the borders.
 
-    Returns it with each cone's side (+1, -1, 0: no border), each cone's way along the line from the car (m), the lane's
-    half width (m), and how far ahead the borders are seen (m from the car).
+    Returns it with the side on which each cone stands, whatever its colour (+1, -1, 0: beside no border), each cone's
+    way along the line from the car (m), the lane's half width (m), and how far ahead the borders are seen (m from the
+    car).
     """
     stations = lengths_along(line)
     cos, sin = headings_along(line)
@@ -316,16 +367,17 @@ def _centred(
     along = stations.take(nearest) + _within(along_here, settings.path_step_m)
     size = np.abs(lateral)
     sides = np.sign(lateral)
-    usable = (np.abs(along_here) < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5) & (cones.side * sides > -0.5)
-    sides = np.where(usable, sides, 0.0)
+    usable = (np.abs(along_here) < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5)
+    stands = np.where(usable, sides, 0.0)
+    sides = np.where(cones.side * sides > -0.5, stands, 0.0)
     # Of cones of one side beside each other only the nearer one is the border.
-    for sign in (1.0, -1.0):
-        mine = (sides == sign).nonzero()[0]
+    for sign, chosen in itertools.product((1.0, -1.0), (stands, sides)):
+        mine = (chosen == sign).nonzero()[0]
         if len(mine) > 1:
             my_along, my_size = along.take(mine), size.take(mine)
             close = np.abs(my_along[:, None] - my_along) < 3.0
             nearest_size = np.where(close, my_size, np.inf).min(axis=1)
-            sides[mine[my_size > nearest_size + 1.2]] = 0.0
+            chosen[mine[my_size > nearest_size + 1.2]] = 0.0
 
     left, left_known = _border(stations, along, lateral, sides > 0, settings)
     right, right_known = _border(stations, along, lateral, sides < 0, settings)
@@ -342,7 +394,7 @@ def _centred(
     known = np.isfinite(shift)
     car_m = BACKWARD_M
     if not known.any():
-        return line, sides, along - car_m, width, 0.0
+        return line, stands, along - car_m, width, 0.0
     shift = np.interp(stations, stations[known], shift[known])
     moved = _smoothed(_moved_left(line, _within(shift, 2.5), cos, sin), settings)
 
@@ -352,7 +404,7 @@ def _centred(
         if station - reached > settings.border_gap_max_m:
             break
         reached = station
-    return moved, sides, along - car_m, width, reached - car_m
+    return moved, stands, along - car_m, width, reached - car_m
 
 
 def _median(values: list[float]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,11 @@ from fsai_vcu.core.planning.lane import find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.immutable import replace
+from fsai_vcu.interface.units import S
+
+if TYPE_CHECKING:
+    from fsai_vcu.core.planning.racing import Racing
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
@@ -25,6 +31,7 @@ class LapStrategy:
     """Follow the lane and count laps."""
 
     def __init__(self, car: VehicleParameters, settings: PlannerSettings, missions: MissionSettings, laps: int) -> None:
+        self._car = car
         self._settings = settings
         self._missions = missions
         self._laps = laps
@@ -37,25 +44,52 @@ class LapStrategy:
         self._half_width_m = self._settings.lane_half_width_min_m
         self._kept: Floats = NO_PATH  # the last path, in the odometry frame
         self._kept_t_ns = 0
+        self._kept_confidence = 0.0
+        self._racing: Racing | None = None
+        if self._laps > 1:  # a single lap leaves nothing to race
+            from fsai_vcu.core.planning.racing import Racing  # slow to import, so not in the middle of a run
+
+            self._racing = Racing(self._car, self._settings, motion)
         self._finished_at_m: float | None = None
         self._stop_m = self._missions.lap_stop_m
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         cones = memory.around(motion)
+        racing = self._racing
+        here, path, doubt = motion, NO_PATH, ""
+        if racing is not None:
+            here = racing.see(seen_xy_m, motion)
+            path, doubt = racing.path(cones.xy_m, here), racing.note
+        if len(path):
+            course = Course(path, supported_m=self._settings.path_step_m * len(path), mapped=True, note=doubt)
+        else:
+            course = self._lane(memory, cones, motion)
+            course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
+        self._count(cones, course.path_m, here)
+        if racing is not None:
+            self._state = racing.close(self._state, here)
+        left = None
+        if self._finished_at_m is not None:
+            left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
+        return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
+
+    def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion) -> Course:
+        """The way on in the lane that the cones around the car make."""
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
         lane = find_lane(cones, curvature, self._half_width_m, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
             memory.vote(cones.index, lane.side)
-            self._kept, self._kept_t_ns = to_odometry(motion, path), motion.t_ns
-        else:
-            path = self._kept_path(motion)
-        self._count(cones, path, motion)
-        if self._finished_at_m is None:
-            return Course(path, self._state.laps)
-        left = self._finished_at_m + self._stop_m - motion.distance_m
-        return Course(path, self._state.laps, finished=True, stop_distance_m=max(0.0, left))
+            self._kept, self._kept_t_ns, self._kept_confidence = to_odometry(motion, path), motion.t_ns, lane.confidence
+            return Course(path, supported_m=lane.supported_m, confidence=lane.confidence, note=lane.note)
+        path = self._kept_path(motion)
+        if not len(path):
+            return Course(path, supported_m=0.0, confidence=0.0, note=lane.note)
+        age_ns = motion.t_ns - self._kept_t_ns
+        confidence = self._kept_confidence * (1.0 - age_ns / (self._settings.keep_path_ns + 1))
+        note = f"path kept from {age_ns / S:.1f} s ago"
+        return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note)
 
     def _kept_path(self, motion: Motion) -> Floats:
         """What is left of the last path, if it is not too old."""
@@ -67,7 +101,10 @@ class LapStrategy:
 
     def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
         gate = cones.xy_m[cones.color == ConeColor.BIG_ORANGE]
-        if len(gate) >= 2 and len(path) >= 3:
+        if self._racing is not None and self._racing.located:
+            # Where the car is in the map says it better than the gate.
+            self._state = replace(self._state, line=replace(self._state.line, at_distance_m=motion.distance_m))
+        elif len(gate) >= 2 and len(path) >= 3:
             middle = _gate_middle(gate, path, self._half_width_m)
             if middle is not None:
                 at = to_odometry(motion, middle[0][None, :])[0]

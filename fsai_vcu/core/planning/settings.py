@@ -32,8 +32,8 @@ class PlannerSettings(Immutable):
     lane_half_width_max_m: float = within(1.5, 4.0, 2.5)
     horizon_m: float = within(6.0, 40.0, 20.0)  # how far to look for the lane
     step_m: float = within(1.0, 4.0, 2.5)  # length of the arcs tried
-    curvature_max_1pm: float = within(0.1, 0.4, 0.3)  # of the tightest arc tried
-    beam: int = within(4, 64, 14)  # hypotheses kept
+    curvature_max_1pm: float = within(0.1, 0.4, 0.4)  # of the tightest arc tried
+    beam: int = within(4, 64, 28)  # hypotheses kept
     border_gap_max_m: float = within(4.0, 15.0, 9.0)  # beyond a longer one the lane is not believed
     smoothing_m: float = within(0.2, 2.0, 1.0)  # the path is averaged over about this length to either side
     path_step_m: float = within(0.2, 1.0, 0.5)  # spacing of the path's points

@@ -1,50 +1,49 @@
-"""Skidpad: a figure of eight known beforehand, placed by the cones seen."""
+"""Skidpad: a figure of eight known by the rules, found in the cones; until then along the lane in."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.missions.registration import from_car
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.missions.skidpad import (
-    advance_skidpad,
-    laps_done,
-    path_ahead,
-    place_start,
-    skidpad_course,
-    staged_on,
-)
+from fsai_vcu.core.missions.skidpad import advance_skidpad, laps_done, search_skidpad, skidpad_course, staged
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import Course
-from fsai_vcu.core.planning.pose import to_odometry, to_vehicle
+from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 
 class SkidpadStrategy:
-    """Along the figure of eight, corrected by what is seen."""
+    """Along the figure of eight, found and corrected by what is seen."""
 
     HORIZON_M = 20.0
-    PLACING = 5  # observations at rest by which the start is searched
+    SEARCHED_UNTIL_M = -8.0  # before the crossing, from where on the place found is only tracked
+    LANE_IN_MAX_M = 30.0  # to be driven from the staging place without having found the circles
 
     def __init__(self, car: VehicleParameters, settings: PlannerSettings, missions: MissionSettings) -> None:
-        self._settings, self._missions = settings, missions
-        self._course = skidpad_course(missions, car.nose_ahead_of_rear_axle_m)
+        self._step_m, self._missions = settings.path_step_m, missions
+        self._course = skidpad_course(missions)
         self.anchor(Motion())
 
     def anchor(self, motion: Motion) -> None:
-        self._state = staged_on(self._course, motion)
+        self._state = staged(motion)
         self._anchored_at_m = motion.distance_m
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
-        course, state = self._course, self._state
-        at_start = motion.distance_m - self._anchored_at_m < 0.5
-        if at_start and state.placed < self.PLACING:
-            known = to_odometry(motion, memory.around(motion).xy_m)
-            if len(known) >= 5:
-                state = place_start(course, state, motion, known)
-        state = advance_skidpad(course, state, motion, to_odometry(motion, seen_xy_m))
-        self._state = state
-        left = course.finish_m + self._missions.skidpad_stop_m - state.progress_m
-        path = path_ahead(course, state, self.HORIZON_M, self._settings.path_step_m)
+        course = self._course
+        self._state = state = advance_skidpad(course, self._state, motion, seen_xy_m)
+        if state.progress_m < self.SEARCHED_UNTIL_M:
+            self._state = state = search_skidpad(course, state, seen_xy_m)
+        ahead = np.arange(0.0, self.HORIZON_M + 1e-9, self._step_m)
+        if not state.found:
+            if motion.distance_m - self._anchored_at_m > self.LANE_IN_MAX_M:
+                return Course(NO_PATH, confidence=0.0, note="the skidpad's circles are nowhere in the cones seen")
+            lane = from_car(state.pose, np.column_stack((state.pose[0] + ahead, np.zeros_like(ahead))))
+            return Course(lane, confidence=0.5, note="along the lane in: the circles have not been found yet")
+        path = from_car(state.pose, course.path(state.progress_m + ahead))
         finished = state.progress_m >= course.finish_m
-        return Course(to_vehicle(motion, path), laps_done(course, state), finished, max(0.0, left))
+        left = course.finish_m + self._missions.skidpad_stop_m - state.progress_m
+        return Course(path, laps_done(course, state), finished, max(0.0, left))

@@ -32,15 +32,18 @@ class Circumstances(Immutable):
     bus_lost: str | None = None
     stopped: bool = False
     wrong: tuple[str, ...] = ()  # received that should not be on the bus, in words
+    note: str = ""  # why the controller does not drive
 
 
 def why_not_driving(
     config: BridgeConfig, state: SupervisorState, vehicle: VehicleState, now: Circumstances, now_ns: int
 ) -> tuple[str, ...]:
     """Every unmet condition; empty while the car drives by command."""
+    heard = now.phase in (Phase.DRIVING, Phase.HOLDING) and now.note
+    reported = (f"the controller reports: {now.note}",) if heard else ()
     if now.phase is Phase.DRIVING and not (now.stopped or now.bus_lost or config.listen_only):
-        return ()
-    return (*_own_side(config, state, now), *_car_side(config, state, vehicle, now_ns))
+        return reported
+    return (*_own_side(config, state, now), *_car_side(config, state, vehicle, now_ns), *reported)
 
 
 def _own_side(config: BridgeConfig, state: SupervisorState, now: Circumstances) -> list[str]:

@@ -445,7 +445,7 @@ def _unknown_state(config: BridgeConfig, state: SupervisorState, now_ns: int) ->
 
 
 def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: int) -> tuple[SupervisorState, bool, str]:
-    """Choose the mode: manual at any time, autonomous only where the car cannot launch at once."""
+    """Choose the mode: manual at any time, autonomous only where the car cannot launch at once, or is so already."""
     if mode == Mode.MANUAL.value:
         return (
             replace(state, mode=Mode.MANUAL, power_up=False),
@@ -456,6 +456,9 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
         return state, False, f"unknown mode {mode!r}: the modes are {', '.join(MODES)}"
     if config.listen_only:
         return state, False, "autonomous refused: this process only listens (listen_only)"
+    latched = "" if state.emergency is None else f", but the emergency brake is latched because {state.emergency.words}"
+    if state.mode is Mode.AUTONOMOUS:
+        return replace(state, power_up=False), True, f"mode is autonomous already{latched}"
     unknown = _unknown_state(config, state, now_ns)
     if unknown is not None:
         return state, False, f"autonomous refused: {unknown}"
@@ -465,12 +468,7 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
             False,
             f"autonomous refused in {_state_name(state)}: accepted in AS_INIT, AS_OFF and AS_READY only",
         )
-    return (
-        replace(state, mode=Mode.AUTONOMOUS, power_up=False),
-        True,
-        "mode is autonomous"
-        + ("" if state.emergency is None else f", but the emergency brake is latched because {state.emergency.words}"),
-    )
+    return replace(state, mode=Mode.AUTONOMOUS, power_up=False), True, f"mode is autonomous{latched}"
 
 
 def confirm(state: SupervisorState, role: str, run_id: int) -> SupervisorState:
@@ -705,7 +703,7 @@ def _react(
         return _begin_stop(state, Asked.MANUAL, "", now_ns), hold, reasons
     if command is not None:
         if command.estop_request:
-            state = ask_emergency(state, Asked.MISSION, "", now_ns)
+            state = ask_emergency(state, Asked.MISSION, command.note, now_ns)
         if command.mission_finished and may_move(config, state, now_ns):
             state = _begin_stop(state, Asked.MISSION_DONE, "", now_ns)
     return state, hold, reasons

@@ -32,7 +32,49 @@ class Finding:
 
 def examine(machine: Machine) -> tuple[Finding, ...]:
     """All findings, in the order in which they are put right."""
-    return tuple(finding for check in CHECKS for finding in check(machine))
+    checks = CHECKS if machine.car_pc else LAPTOP_CHECKS
+    return tuple(finding for check in checks for finding in check(machine))
+
+
+# ---------------------------------------------------------------- on a laptop
+
+
+def place(machine: Machine) -> Iterator[Finding]:
+    yield _note("machine", "a laptop: the car's software is not installed (on the car PC: make install, docs/car.md)")
+
+
+def vcan(machine: Machine) -> Iterator[Finding]:
+    stand_in = "loopback:NAME stands in for a bus wherever one is named, as in fsai-vcu vcu -i loopback:lab"
+    if machine.vcan:
+        yield _right("bus", f"{machine.vcan} is up; {stand_in}")
+    elif machine.kernel_has_vcan:
+        make = "sudo modprobe vcan; sudo ip link add dev vcan0 type vcan; sudo ip link set vcan0 up"
+        yield Finding("bus", "note", f"no vcan0 yet; without it {stand_in}", make)
+    else:
+        yield _note("bus", f"this kernel has no vcan: {stand_in}")
+
+
+def domain(machine: Machine) -> Iterator[Finding]:
+    here = f"domain {machine.domain_id}"
+    if machine.transport:
+        yield Finding("DDS", "note", f"{here}; {machine.transport}", "unset that variable to stay on this machine")
+    else:
+        yield _right(
+            "DDS", f"{here}, on the loopback alone: ros2 and your own programs need only the same ROS_DOMAIN_ID"
+        )
+
+
+def real_time(machine: Machine) -> Iterator[Finding]:
+    if machine.may_be_real_time:
+        yield _right("scheduling", f"{machine.user}'s programs may be real-time")
+    else:
+        limits = f"{machine.user} - rtprio 60, and {machine.user} - memlock unlimited"
+        words = f"{machine.user}'s programs may not be real-time: the CAN loop runs without, later under load"
+        todo = f"two lines in /etc/security/limits.d/fsai.conf: {limits}; then log in again"
+        yield Finding("scheduling", "note", words, todo)
+
+
+# ---------------------------------------------------------------- on the car PC
 
 
 def configuration(machine: Machine) -> Iterator[Finding]:
@@ -190,7 +232,9 @@ def ros(machine: Machine) -> Iterator[Finding]:
         yield _wrong(
             "ROS 2",
             "rclpy is not in this Python environment",
-            "use the car's own command (/usr/bin/fsai-vcu, after make install), or source /opt/ros/jazzy/setup.bash",
+            "use the car's own command (/usr/bin/fsai-vcu, after make install), or source /opt/ros/jazzy/setup.bash"
+            if machine.car_pc
+            else "make setup in a checkout, or source /opt/ros/jazzy/setup.bash; fsai-vcu drive works without",
         )
     else:
         distribution = here.distribution or "from the package index"
@@ -363,6 +407,15 @@ CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
     clock,
     disk,
     permissions,
+    system,
+)
+LAPTOP_CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
+    place,
+    vcan,
+    ros,
+    domain,
+    shared_memory,
+    real_time,
     system,
 )
 

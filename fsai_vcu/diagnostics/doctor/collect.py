@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import re
+import resource
 import shutil
 import struct
 import subprocess
@@ -33,6 +34,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
 from fsai_vcu.runtime.bus import BusError
+from fsai_vcu.runtime.transport import set_transport
 
 _NET = Path("/sys/class/net")
 _ARPHRD_CAN = "280"  # linux/if_arp.h
@@ -47,6 +49,7 @@ _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
 _SHARED_MEMORY = Path("/dev/shm")
+_MODULES = Path("/lib/modules")
 
 # linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Of a clock that nothing keeps maxerror is 16 s.
 _TIMEX_BYTES, _MAX_ERROR_AT, _UNSYNCHRONISED_US = 512, struct.calcsize("@Ill0l"), 16_000_000
@@ -54,10 +57,35 @@ _TIMEX_BYTES, _MAX_ERROR_AT, _UNSYNCHRONISED_US = 512, struct.calcsize("@Ill0l")
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
+def laptop(proc: Path = Path("/proc")) -> Machine:
+    """A machine on which the car's software is not installed, as far as it matters there."""
+    vcans = [path.name for path in sorted(_NET.glob("*")) if _read(path / "type") == _ARPHRD_CAN]
+    up = [name for name in vcans if int(_read(_NET / name / "flags") or "0", 16) & 1]
+    return Machine(
+        car_pc=False,
+        vcan=up[0] if up else "",
+        kernel_has_vcan=bool(up) or kernel_has("vcan"),
+        may_be_real_time=os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0,
+        domain_id=os.environ.get("ROS_DOMAIN_ID", "0"),
+        transport=set_transport(dict(os.environ)),
+        ros=_ros(proc),
+        dds_leftovers=dds_leftovers(proc),
+        user=_user(),
+        kernel=platform.release(),
+        system=system(),
+    )
+
+
+def kernel_has(module: str, folder: Path = _MODULES) -> bool:
+    """Whether the running kernel has a module, built in or to be loaded."""
+    here = folder / platform.release()
+    return any(f"/{module}.ko" in _read(here / name) for name in ("modules.builtin", "modules.dep"))
+
+
 def collect(
     wanted: Wanted | None, problems: tuple[str, ...], codec: Codec | None, seconds: float, proc: Path = Path("/proc")
 ) -> Machine:
-    """The machine, with `seconds` of listening to its bus. `codec`: of the configured revision and wheel mapping."""
+    """The car PC, with `seconds` of listening to its bus. `codec`: of the configured revision and wheel mapping."""
     link = link_of(wanted.interface) if wanted is not None and ":" not in wanted.interface else None
     files = [Path(name) for name in (wanted.path, wanted.limits_path) if name] if wanted is not None else []
     folder = Path(wanted.recording_folder) if wanted is not None else None

@@ -87,6 +87,12 @@ class Scheduling:
 class Machine:
     """All of it. `services`: the state of each unit of ours that is enabled, by name; empty where there is none."""
 
+    car_pc: bool = True  # the car's software is installed here; else this is a laptop, with a checkout or a workspace
+    vcan: str = ""  # on a laptop: an interface of that kind that is up
+    kernel_has_vcan: bool = False
+    may_be_real_time: bool = False  # whether this user's processes may
+    domain_id: str = "0"
+    transport: str = ""  # whom this shell's ROS 2 programs reach, where that is not the loopback alone
     wanted: Wanted | None = None
     configuration_problems: tuple[str, ...] = ()
     interfaces: tuple[str, ...] = ()  # CAN interfaces there are

@@ -208,6 +208,12 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         "MISSION_STATUS became NOT_SELECTED, which this VCU (like the official simulator) takes as AS_OFF at once",
         "keep RUNNING while driving, then FINISHED at rest",
     ),
+    "not_driven": (
+        "the car stands in AS_DRIVING; nothing was asked of it",
+        "see what the planner says: no cones, no path among them, or another mission than this track's"
+        " (fsai-vcu status: why not driving)",
+        _TEAM_LOG,
+    ),
     "stop_asked": (
         "nothing on the bus explains it: manual mode was asked for, or this software's own supervision stopped the car",
         "look in the software's own log for the stop's cause",

@@ -44,6 +44,7 @@ HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
 IDLE_NS: Final = 8 * S  # 3 s of standing still, and as long again for the first torque
+INSPECTIONS: Final = (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)  # in which wheels may rest
 NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 
@@ -152,6 +153,8 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
     # Who asked is reported by the car; why, by the frames before.
     if roots := found_before(record, first.begin_ns, drive_ns, emergency=True):
         return list(ranked(candidate(root.slug, sureness, *root.steps, request) for root in roots))
+    if stood := idle(record, drive_ns, first.begin_ns):
+        return [candidate("not_driven", sureness, stood, request)]
     ami = record.at(sig.AMI, t_ns)
     moved = (record.fastest_wheel.between(drive_ns, t_ns).values >= STANDING_RPM).any()
     if ami == Ami.STATIC_INSPECTION_B or (ami == Ami.AUTONOMOUS_DEMO and moved):
@@ -379,19 +382,34 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     if span.before is None or not len(wheels) or not all(map(len, asked)):
         return
-    finished = span.after == sig.FINISHED
+    finished, stood = span.after == sig.FINISHED, idle(record, span.begin_ns, span.end_ns)
     over = record.span_at(sig.MISSION_STATUS, span.end_ns) if finished else None
     over_ns = span.end_ns if over is None else over.begin_ns
     candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
-    idle = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
-    if wheels.max() < STANDING_RPM and (finished or idle):
+    if wheels.max() < STANDING_RPM and (finished or stood):
         candidates += _start_was_wrong(record, span)
-        if record.at(sig.AMI, span.end_ns) not in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B):
-            step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
-            candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
+    if stood:
+        candidates.append(shown("not_driven", stood))
+    elif wheels.max() < STANDING_RPM and finished and record.at(sig.AMI, span.end_ns) not in INSPECTIONS:
+        step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
+        candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
     if candidates:
         what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
         yield Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))
+
+
+def idle(record: Record, drive_begin_ns: int, t_ns: int) -> ChainLink | None:
+    """Since when, at `t_ns`, the car has stood in AS_DRIVING without being asked for anything, if that is long."""
+    wheels = record.fastest_wheel.between(drive_begin_ns, t_ns)
+    asked = [record.series(signal) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
+    if not len(wheels) or not all(map(len, asked)) or record.at(sig.AMI, t_ns) in INSPECTIONS:
+        return None
+    busy = np.logical_or.reduce([wheels.values >= STANDING_RPM, *(each.sampled(wheels.t_ns) > 0 for each in asked)])
+    since_ns = int(wheels.t_ns[busy][-1]) if busy.any() else drive_begin_ns
+    if t_ns - since_ns < IDLE_NS:
+        return None
+    words = f"for {ms(t_ns - since_ns)} no wheel turns, and no torque is asked for"
+    return ChainLink(since_ns, words, 0x512)
 
 
 def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:

@@ -13,7 +13,7 @@ from typing import Final
 
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES
-from fsai_vcu.diagnostics.explain.endings import restarted, switched
+from fsai_vcu.diagnostics.explain.endings import idle, restarted, switched
 from fsai_vcu.diagnostics.explain.evidence import GONE_NS
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
@@ -300,7 +300,7 @@ class Obstacle:
 
 
 def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> Iterator[Obstacle]:
-    """What stands between now and driving, what must be put right first in front. Nothing in AS_DRIVING.
+    """What stands between now and driving, what must be put right first in front. In AS_DRIVING only that it stands.
 
     emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that was seen.
     """
@@ -323,7 +323,10 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
         yield Obstacle("the mission is finished (AS_FINISHED)", remedy="ASMS off ends the run")
     elif span.value == sig.READY:
         yield from _in_ready(record, span, now_ns)
-    elif span.value != sig.DRIVING:
+    elif span.value == sig.DRIVING:
+        if stood := idle(record, span.begin_ns, now_ns):
+            yield _obstacle(shown("not_driven", stood))
+    else:
         found = [_obstacle(one) for one in unmet(TO_READY, record, now_ns)]
         if span.value not in OFF_LIKE:
             yield Obstacle(f"AS_STATE is {state}")

@@ -10,6 +10,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from fsai_hil import CHECKOUT, vcan
@@ -81,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"--soak is {args.soak:g}, but must be a time in minutes")
     if not (CHECKOUT / _SUITE).is_dir():
         raise UserError(f"the suite is part of the source checkout, and {CHECKOUT} has no {_SUITE}")
+    if find_spec("pytest") is None:
+        raise UserError(f"the suite needs what tests need: make -C {CHECKOUT} setup-for-tests")
     # A polite kill ends everything properly, as Ctrl-C does: the logs are still to be put into their place.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

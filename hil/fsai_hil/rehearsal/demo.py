@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.stack import NODES, Stack, StackError
+from fsai_hil.rehearsal.stack import NODES, Stack, StackError, simulated_car
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
@@ -28,6 +28,8 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.revisions import revision
 
 MISSION = "autocross"
+REPLACEABLE = NODES[1:]  # the bridge is what all others stand in front of
+WITH_HELP = "start a node of yours as well; may be given more than once"
 START_TIMEOUT_S = 60.0
 RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 15.0
@@ -42,8 +44,15 @@ def main() -> int:
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
     parser.add_argument("--own-vcan", action="store_true", help=argparse.SUPPRESS)  # it runs in a network of its own
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
+    parser.add_argument("--without", default="", metavar="NODE,...", help=f"leave out, of {', '.join(REPLACEABLE)}")
+    parser.add_argument("--with", dest="others", action="append", default=[], metavar="FILE.py|MODULE", help=WITH_HELP)
     args = parser.parse_args()
     args.mission = args.mission or MISSION
+    args.without = [name.strip() for name in args.without.split(",") if name.strip()]
+    if unknown := [name for name in args.without if name not in REPLACEABLE]:
+        parser.error(f"--without {unknown[0]}: choose of {', '.join(REPLACEABLE)}")
+    if absent := [name for name in args.others if name.endswith(".py") and not Path(name).is_file()]:
+        parser.error(f"--with {absent[0]}: no such file")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
         # What would only fail once everything is running.
@@ -106,24 +115,23 @@ def drive(args: argparse.Namespace) -> int:
         again = "this vcan0 is the demo's own; start it with --bus loopback:demo, then " * args.own_vcan
         verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
         _say(f"watch it: {again}{verb} pitwall {'loopback:demo' if args.own_vcan else bus}")
-        _say(f"starting {', '.join(NODES)}, each its own process")
         stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
         car = {"car": args.revision}
         laps = {} if args.laps is None else {"laps": args.laps}
-        stack.start_nodes(
-            {"vcu_bridge": {"revision": args.revision, **car}, "path_planner": car | laps, "vehicle_controller": car}
+        nodes = stack.start_nodes(
+            {"vcu_bridge": {"revision": args.revision, **car}, "path_planner": car | laps, "vehicle_controller": car},
+            args.without,
+            args.others,
         )
+        _say(f"started {', '.join(nodes)}, each its own process")
         operator = RosOperator(stack, "demo")
         try:
             operator.await_bridge(START_TIMEOUT_S)
-            words = ["vcu", "-i", bus, "--auto", "--truth", str(stack.truth_port), "--result", str(verdict)]
-            words += ["--plot", str(plot)]
-            for name in ("mission", "revision", "seed", "laps", "track"):
-                if getattr(args, name) is not None:
-                    words.append(f"--{name}={getattr(args, name)}")
-            vcu = stack.start_verb("vcu", *words)
+            options = {name: getattr(args, name) for name in ("mission", "revision", "seed", "laps", "track")}
+            options |= {"result": verdict, "plot": plot}
+            vcu = stack.start_verb("vcu", *simulated_car(bus, stack.truth_port, options))
             _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
-            result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *NODES)
+            result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *nodes)
             _say(f"run_mission: {result.message}")
         finally:
             operator.close()

@@ -27,6 +27,15 @@ class StackError(Exception):
     """A process did not do what was awaited; the message is for a person, with the process's last words."""
 
 
+def simulated_car(bus: str, truth_port: int, options: Mapping[str, object]) -> list[str]:
+    """The words of `fsai-vcu` that start the car: it walks its switches, drives a mission, gives a verdict and ends.
+
+    options: more of `fsai-vcu vcu`, by name; None leaves one out.
+    """
+    words = ["vcu", "-i", bus, "--auto", "--truth", str(truth_port)]
+    return words + [f"--{name}={value}" for name, value in options.items() if value is not None]
+
+
 def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:
     """True as soon as `condition` holds, False when it does not in time; `turn` passes the time between two looks."""
     until = time.monotonic() + timeout_s
@@ -178,10 +187,21 @@ class Stack:
             words += ["-p", f"{parameter}:={value}"]
         return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *words])
 
-    def start_nodes(self, parameters: Mapping[str, Mapping[str, object]]) -> None:
-        """Start the five nodes, each its own process; `parameters` by node name."""
-        for name in NODES:
+    def start_nodes(
+        self, parameters: Mapping[str, Mapping[str, object]], without: Sequence[str] = (), others: Sequence[str] = ()
+    ) -> tuple[str, ...]:
+        """Start the five nodes, each its own process; `parameters` by node name. The names of what was started.
+
+        without: those of the five that are not; others: files and modules of others that are, as they are.
+        """
+        started = [name for name in NODES if name not in without]
+        for name in started:
             self.start_node(name, **parameters.get(name, {}))
+        for other in others:
+            argv = [other] if other.endswith(".py") else ["-m", other]
+            started.append(Path(other).stem if other.endswith(".py") else other.rpartition(".")[2])
+            self.start(started[-1], [sys.executable, *argv])
+        return tuple(started)
 
     def check_alive(self, *names: str) -> None:
         """Raises StackError naming the first of `names` (all, if none are given) that has ended by itself."""

@@ -38,6 +38,7 @@ ROLES: Final = frozenset(("planner", "controller"))
 OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
 _OFF_SEEN, _READY_SEEN, WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
+LOOKED_AT: Final = frozenset((VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts))
 RESTART_GAP_NS: Final = 150 * MS  # a process that starts listens for 200 ms before its first frame
 BRAKE_STEP_PCT: Final = 0.5  # interface specification v4.0: the signal's resolution
 Saved = tuple[tuple[object, ...], tuple[int, ...]]
@@ -201,6 +202,8 @@ class BusView:
 
     def on_car(self, image: Image | None, t_ns: int) -> None:
         """A frame of the car that can be believed, which carries `image`."""
+        if type(image) not in LOOKED_AT:
+            return  # most of the bus: no rule asks for it
         s = self.seen
         if isinstance(image, VcuStatus):
             self._on_status(image, t_ns)

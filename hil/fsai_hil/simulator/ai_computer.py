@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -81,7 +80,7 @@ class OnboardComputer:
             if len(self._unread) < RECEIVE_BUFFER_FRAMES:
                 self._unread.append(frame)
         elif self.bridge_running and self._bus_up:
-            self._confined("bridge", lambda: self._engine.on_frame(frame))
+            self._confined("bridge", self._engine.on_frame, frame)
 
     def on_cones(self, observation: ConeObservation) -> None:
         """Cones that a detector reports; the planner gets them after the perception's delay."""
@@ -94,7 +93,7 @@ class OnboardComputer:
         while self._seen and self._seen[0].t_ns + PERCEPTION_DELAY_NS <= now_ns:
             observation = self._seen.popleft()
             if "planner" in self._run_ids and self.planner_running:
-                self._confined("planner", partial(self._plan, observation, now_ns))
+                self._confined("planner", self._plan, observation, now_ns)
         if now_ns >= self._next_control_ns:
             self._next_control_ns += CONTROL_PERIOD_NS
             self._control(now_ns)
@@ -102,7 +101,7 @@ class OnboardComputer:
             self._edge_hung_until_ns = None
             if self._hung_until_ns is None and self.bridge_running:
                 self._read_slot(now_ns)
-        self._confined("bridge", lambda: self._turn(now_ns))
+        self._confined("bridge", self._turn, now_ns)
         return self._out
 
     def report(self) -> BridgeReport:
@@ -162,10 +161,10 @@ class OnboardComputer:
         if self.bridge.stopped:
             self.bridge_running = False
 
-    def _confined(self, process: str, work: Callable[[], object]) -> None:
+    def _confined(self, process: str, work: Callable[..., object], *given: object) -> None:
         """Do `work`; what it raises ends its process, as it does on the car, where failures are confined."""
         try:
-            work()
+            work(*given)
         except Exception as error:
             if not self.confine_failures:
                 raise
@@ -254,8 +253,8 @@ class OnboardComputer:
         if not (self.bridge_running and self.edge_running):
             return  # without the bridge's state nothing is planned, and there is nobody to take a command
         report = self._last_report if self._hangs and self._last_report is not None else self.report()
-        self._confined("planner", lambda: self._inform_planner(report))
-        self._confined("controller", lambda: self._command(report, now_ns))
+        self._confined("planner", self._inform_planner, report)
+        self._confined("controller", self._command, report, now_ns)
 
     def _inform_planner(self, report: BridgeReport) -> None:
         if not self.planner_running:

@@ -137,6 +137,9 @@ class Car:
         # what a substep needs of the model and need not work out 500 times a second
         self._cog_to_front_m = f.wheelbase_m - f.cog_ahead_of_rear_axle_m
         self._weight_n = f.mass_kg * GRAVITY_MPS2
+        # Of a force that drives or drags the car, what moves its mass: the rest turns wheels and motor. (Brakes are
+        # given by what the car does.)
+        self._mass_share = f.mass_kg / (f.mass_kg + ROTATING_MASS_KG)
         self._steer_limit_deg = math.degrees(f.steer_max_rad)
         self._steer_rate_degps = math.degrees(f.steer_rate_radps)
         self._steer_backlash_deg = math.degrees(f.steer_backlash_rad)
@@ -309,7 +312,7 @@ class Car:
         rear_drive, rear_brake = self._drive_and_brake_n(rear)
 
         if vx <= 0.0:
-            rest = ROLLING_RESISTANCE * f.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
+            rest = ROLLING_RESISTANCE * self._weight_n * self._mass_share + front_brake + rear_brake
             if front_drive + rear_drive <= rest:
                 self._ax = self._ay = 0.0
                 return
@@ -320,8 +323,8 @@ class Car:
         rear_force, rear_grip = self._grip(rear, rear.weight_n + transfer, rear_drive - rear_brake, vx, dt)
 
         steer = math.radians(self._road_deg)
-        resistance = ROLLING_RESISTANCE * self._weight_n + 0.6 * DRAG_AREA_M2 * vx * vx  # half of 1.2 kg/m3 of air
-        inertia = f.mass_kg + ROTATING_MASS_KG
+        drag_n = 0.6 * DRAG_AREA_M2 * vx * vx  # half of 1.2 kg/m3 of air
+        resistance = (ROLLING_RESISTANCE * self._weight_n + drag_n) * self._mass_share
 
         blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
         to_front, to_rear = self._cog_to_front_m, f.cog_ahead_of_rear_axle_m
@@ -333,12 +336,12 @@ class Car:
             rear_side = self._side_n(rear_force, rear_grip, rear_angle)
             along = front_force * cos_steer - front_side * sin_steer + rear_force - resistance
             across = front_force * sin_steer + front_side * cos_steer + rear_side
-            vx_rate = along / inertia + yaw_rate * vy
+            vx_rate = along / f.mass_kg + yaw_rate * vy
             vy_next = vy + (across / f.mass_kg - yaw_rate * vx) * dt
             turn = to_front * (front_force * sin_steer + front_side * cos_steer) - to_rear * rear_side
             yaw_rate_next = yaw_rate + turn / f.yaw_inertia_kgm2 * dt
         else:
-            vx_rate = (front_force + rear_force - resistance) / inertia
+            vx_rate = (front_force + rear_force - resistance) / f.mass_kg
             vy_next = yaw_rate_next = 0.0
         vx_next = vx + vx_rate * dt
         if vx_next < 0.0:
@@ -380,7 +383,7 @@ class Car:
     def _drive_and_brake_n(self, axle: _Axle) -> tuple[float, float]:
         f = self.facts
         brake_n = f.brake_full_mps2 * f.mass_kg * axle.brake_share * axle.brake_pct / 100.0
-        return axle.torque_nm * DRIVELINE_EFFICIENCY / f.rolling_radius_m, brake_n
+        return axle.torque_nm * DRIVELINE_EFFICIENCY / f.rolling_radius_m * self._mass_share, brake_n
 
     def _grip(self, axle: _Axle, load_n: float, asked_n: float, vx: float, dt: float) -> tuple[float, float]:
         """What the tyres carry along, and what they could at most; what is left over spins or locks the wheels."""

@@ -34,6 +34,7 @@ DYNAMICS_MOST_MPS2: Final = 63.99  # signal database: ranges of 0x501
 DYNAMICS_MOST_DEGPS: Final = 255.99
 RECEIVER_PERIOD_NS: Final = 100 * MS  # the receiver solves for a position ten times a second and repeats it meanwhile
 FIRST_FIX_NS: Final = 2 * S
+INERTIAL: Final = (Acceleration.dbc_name, RotationB.dbc_name, LogDynamics2.dbc_name)
 ANTENNA_OK: Final = 2
 NAVIGATION_NONE: Final = 1
 NAVIGATION_3D: Final = 3
@@ -64,24 +65,24 @@ class PcanGps:
         self._codec = codec
         self._powered_ns = now_ns
         self._solved_ns: int | None = None
-        self._slow: dict[str, bytes] = {}
+        self._slow: dict[str, tuple[int, bytes]] = {}  # identifier and payload
 
     def frame(self, name: str, now_ns: int, car: CarFeedback) -> Frame:
+        if name not in INERTIAL:
+            if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
+                self._solved_ns = now_ns
+                self._slow = self._solve(now_ns, car)
+            return Frame(*self._slow[name], now_ns)
         if name == Acceleration.dbc_name:
             xyz_mg = (limited(mps2 * MILLI_G_PER_MPS2, MILLI_G_MOST) for mps2 in car.accel_xyz_mps2)
             return self._codec.encode(Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0, now_ns))
         if name == RotationB.dbc_name:
             return self._codec.encode(RotationB(math.degrees(car.yaw_rate_radps), now_ns))
-        if name == LogDynamics2.dbc_name:
-            along, across, _ = (limited(mps2, DYNAMICS_MOST_MPS2) for mps2 in car.accel_xyz_mps2)
-            turning = limited(math.degrees(car.yaw_rate_radps), DYNAMICS_MOST_DEGPS)
-            return self._codec.encode(LogDynamics2(along, across, turning, now_ns))
-        if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
-            self._solved_ns = now_ns
-            self._slow = self._solve(now_ns, car)
-        return Frame(BY_NAME[name].can_id, self._slow[name], now_ns)
+        along, across, _ = (limited(mps2, DYNAMICS_MOST_MPS2) for mps2 in car.accel_xyz_mps2)
+        turning = limited(math.degrees(car.yaw_rate_radps), DYNAMICS_MOST_DEGPS)
+        return self._codec.encode(LogDynamics2(along, across, turning, now_ns))
 
-    def _solve(self, now_ns: int, car: CarFeedback) -> dict[str, bytes]:
+    def _solve(self, now_ns: int, car: CarFeedback) -> dict[str, tuple[int, bytes]]:
         """Everything that changes ten times a second at most."""
         heading = math.radians(car.course_deg)
         utc = UTC_AT_0 + timedelta(microseconds=now_ns // 1000)
@@ -117,7 +118,7 @@ class PcanGps:
             message = self._codec.database.get_message_by_name(name)
             signals = [signal.name for signal in message.signals]
             solved[name] = message.encode(dict(zip(signals, values, strict=True)))
-        return solved
+        return {name: (BY_NAME[name].can_id, data) for name, data in solved.items()}
 
 
 GPS_NAMES: Final = tuple(

@@ -310,11 +310,14 @@ class _CircuitReferee(_TimedReferee):
 
     _finished_at_m = 0.0
 
+    @property
+    def _least_m(self) -> float:
+        return self.track.length_m * self.SHARE_OF_LAP if self.track.closed else self.LEAST_LAP_M
+
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         at_m = route.progress_m if route is not None else truth.distance_m
-        least_m = self.track.length_m * self.SHARE_OF_LAP if self.track.closed else self.LEAST_LAP_M
         crossed = self._start.watch(truth.t_ns, *nose)
-        if crossed is not None and (self._crossed_ns is None or at_m - self._crossed_at_m > least_m):
+        if crossed is not None and (self._crossed_ns is None or at_m - self._crossed_at_m > self._least_m):
             self._cross(crossed, at_m)
             if self.laps == self.wanted:
                 self._finished_at_m = truth.distance_m

@@ -38,6 +38,7 @@ class SensorSettings(Immutable):
     unknown_far: float = 0.25  # share without colour at the end of the range
     confused_far: float = 0.02  # share with a wrong colour at the end of the range
     false_per_scan: float = 0.10  # detections of nothing, on average
+    colours: bool = True  # False: every cone is of UNKNOWN colour
 
     def __post_init__(self) -> None:
         if not self.noise_level >= 0.0 or not math.isfinite(self.noise_level):
@@ -84,6 +85,8 @@ class ConeSensor:
             certain = np.concatenate([certain, ghost_certain])
         else:
             certain = np.ones(len(distance))
+        if not s.colours:
+            colors = np.full_like(colors, ConeColor.UNKNOWN)
         xy = np.column_stack([x + s.ahead_of_rear_axle_m, y])
         return ConeObservation(t_ns, xy, colors.astype(np.int64), certain)
 

@@ -12,8 +12,9 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from types import MappingProxyType
-from typing import Final, cast
+from typing import Any, Final, cast
 
 from fsai_hil.simulator.ai_link import AiLink
 from fsai_hil.simulator.as_machine import AI_COMMS_LOST, CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
@@ -162,7 +163,9 @@ class SimulatedVcu:
         self._now_ns = max(self._now_ns, frame.t_ns)
         self._link.on_image(cast(AiImage, image), frame.t_ns)
         # the VCU sees the five messages one after another: what meets between two of them has met
-        self._look(self._now_ns)
+        if self._heard.get(frame.can_id) != frame.data:
+            self._heard[frame.can_id] = frame.data
+            self._look(self._now_ns)
 
     # ------------------------------------------------------------ what it does
 
@@ -203,6 +206,8 @@ class SimulatedVcu:
         self._ebs = Subsystem(EbsState.EBS_INIT, now_ns)
         self._device = PcanGps(self.codec, now_ns)
         self._situation = Situation()
+        self._set_so: tuple[Any, ...] = ()  # the switches, as the situation has them
+        self._heard: dict[int, bytes] = {}  # the last payload of each of the AI computer's messages
         self._latched: set[str] = set()
         self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
         self.state = self.power_up.first_state
@@ -240,8 +245,11 @@ class SimulatedVcu:
         s.fastest_wheel_rpm = max(rpm)
         s.slowest_wheel_rpm = min(rpm)
         s.steer_deg = self._feedback.steer_deg
-        for name in SEEN_OF_THE_SWITCHES:
-            setattr(s, name, getattr(switches, name))
+        set_so = _seen_of(switches)
+        if set_so != self._set_so:
+            self._set_so = set_so
+            for name, value in zip(SEEN_OF_THE_SWITCHES, set_so, strict=True):
+                setattr(s, name, value)
         s.go = self.go_signal
         s.go_rising = s.go and not self._go_before
         self._go_before = s.go
@@ -649,6 +657,8 @@ BUILDERS: Final[Mapping[str, Callable[[SimulatedVcu, int], Image]]] = MappingPro
 SEEN_OF_THE_SWITCHES: Final = tuple(
     field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
 )
+
+_seen_of: Final = attrgetter(*SEEN_OF_THE_SWITCHES)
 
 # signal database: State_service_brake of 0x502
 LOG_BRAKE_DISENGAGED: Final = 1

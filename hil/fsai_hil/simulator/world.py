@@ -7,7 +7,7 @@ process on a bus. Deterministic: the same setup and the same frames at the same 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
@@ -50,6 +50,7 @@ class WorldSetup:
     laps: int | None = None  # of a trackdrive; None: ten
     auto: bool = True  # somebody walks the switches; else nobody does
     noise_level: float = 1.0
+    sensor: SensorSettings = field(default_factory=SensorSettings)  # its noise level is the one above
     start_timeout_s: float = 120.0  # until AS_DRIVING, where somebody walks the switches
     gps: bool = True
     gps_decimation: int = 1
@@ -114,7 +115,7 @@ class World:
             car = CARS["official-simulator"].with_steer_limit(revision.steer_limit_deg)
         self.car = Car(car, now_ns=setup.start_ns)
         self.operator = Operator.auto(setup.revision, setup.missions) if setup.auto else Operator()
-        self._sensor_settings = SensorSettings(noise_level=setup.noise_level)
+        self._sensor_settings = replace(setup.sensor, noise_level=setup.noise_level)
         self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
         self.now_ns = setup.start_ns  # the last step: the instant of everything that can be seen
         self._next_look_ns = setup.start_ns

@@ -92,10 +92,13 @@ class Input:
         self._received_ns: int | None = None
         self._age_ns = 0
         self._said = False
+        self._publishers: list[str] = []  # who did last: one that has ended is not in the ROS graph any more
 
     def received(self, now_ns: int, age_ns: int = 0) -> None:
         """A message came, with data of that age; negative: stamped ahead of the clock."""
         self._received_ns, self._age_ns = now_ns, age_ns
+        if not self._publishers:
+            self._look()
 
     def forget(self) -> None:
         """As if nothing had ever been received."""
@@ -133,7 +136,16 @@ class Input:
         return late
 
     def who(self) -> str:
-        """The topic, and which nodes publish it."""
+        """The topic, and which nodes publish it, or did."""
+        topic, there = self._look()
+        names = " and ".join(self._publishers)
+        if there:
+            return f"{topic} of {names}"
+        return f"{topic} of {names}, which has ended," if names else f"{topic}, which nobody publishes,"
+
+    def _look(self) -> tuple[str, bool]:
+        """The topic's whole name, and whether anybody publishes it now."""
         topic = self._node.resolve_topic_name(self._topic)
         names = sorted({each.node_name for each in self._node.get_publishers_info_by_topic(topic)})
-        return f"{topic} of {' and '.join(names)}" if names else f"{topic}, which nobody publishes,"
+        self._publishers = names or self._publishers
+        return topic, bool(names)

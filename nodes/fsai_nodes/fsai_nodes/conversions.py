@@ -114,10 +114,10 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
 
 
 def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan | None:
-    """None when the path is empty or holds a number that is none, or the mission is outside the table."""
+    """None when the path holds a number that is none, or the mission is outside the table."""
     points = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
     path_m = np.array(points, dtype=np.float64).reshape(-1, 2)
-    if not len(path_m) or not np.isfinite(path_m).all():
+    if not np.isfinite(path_m).all():
         return None
     try:
         mission = Ami(status.mission)
@@ -148,7 +148,7 @@ _COMMANDED = {each.name: str(each.type) for each in fields(VehicleCommand) if ea
 
 
 def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
-    plain = {"bool": bool, "float": float, "int": _count}
+    plain = {"bool": bool, "float": float, "int": _count, "str": str}
     message = VehicleCommandMsg(**{name: plain[kind](getattr(command, name)) for name, kind in _COMMANDED.items()})
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME

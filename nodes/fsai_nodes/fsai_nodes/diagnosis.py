@@ -70,6 +70,8 @@ def _supervision(report: BridgeReport) -> DiagnosticStatus:
         return _status("supervision", DiagnosticStatus.WARN, f"stopping: {report.stopping}", values)
     if report.reasons:
         return _status("supervision", DiagnosticStatus.WARN, "; ".join(report.sentences), values)
+    if report.run.may_move and report.why_not_driving:
+        return _status("supervision", DiagnosticStatus.WARN, "; ".join(report.why_not_driving), values)
     words = "listening only: nothing is sent" if report.listen_only else report.phase
     return _status("supervision", DiagnosticStatus.OK, words, values)
 

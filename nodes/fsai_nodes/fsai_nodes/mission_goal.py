@@ -71,15 +71,24 @@ class Waiting:
         self._drove = False
 
     def duration_s(self, now_ns: int) -> float:
-        return (now_ns - self._began_ns) / 1e9
+        """Since the goal was taken; never negative, though `now_ns` was read before that."""
+        return max(0, now_ns - self._began_ns) / 1e9
 
-    def step(self, as_state: AsState | None, mission: Ami, now_ns: int) -> GoalResult | None:
-        """`as_state` and `mission` as the car reports them now; None while nothing has been received."""
+    def step(
+        self, as_state: AsState | None, mission: Ami, now_ns: int, *, cancelled: bool = False
+    ) -> GoalResult | None:
+        """`as_state` and `mission` as the car reports them now; None while nothing is received.
+
+        cancelled: the car is being stopped, and the goal ends with the drive.
+        """
         goal = GOALS[self.until]
         before, self._before = self._before, as_state
         changed = before is not None and as_state is not before
         self._drove |= as_state is AsState.AS_DRIVING
-        if as_state is not None:
+        if cancelled and as_state is not AsState.AS_DRIVING:
+            state = "nothing is received from the car" if as_state is None else f"the car is in {as_state.label}"
+            return GoalResult(False, "cancelled", f"cancelled, mode is manual: {state}")
+        if as_state is not None and not cancelled:
             underway = as_state in (AsState.AS_READY, AsState.AS_DRIVING)
             if underway and self._mission is not None and mission is not self._mission:
                 words = f"{as_state.label} with mission {mission.label}, not {self._mission.label}"

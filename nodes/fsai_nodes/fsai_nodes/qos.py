@@ -13,14 +13,15 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 # A command older than this is stale for the bridge too (safety: vehicle command stale after 100 ms), so the
-# middleware need not deliver it, and a publisher that pauses for so long has broken its promise of 50 Hz.
-COMMAND_DEADLINE_MS = 100
+# middleware need not deliver it. No deadline is asked for: a publisher that does not promise one would not be heard at
+# all, and the CAN loop's own clock is what catches silence.
+COMMAND_LIFESPAN_MS = 100
 # Data older than this makes a command stale (safety: 500 ms), so a path that old is of no use.
 PATH_LIFESPAN_MS = 500
 
 
 def profile(depth: int, *, reliable: bool = True, kept: bool = False, **times_ms: int) -> QoSProfile:
-    """The last `depth` messages; kept: also for readers that come later. times_ms: deadline and lifespan."""
+    """The last `depth` messages; kept: also for readers that come later. times_ms: lifespan."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -30,7 +31,7 @@ def profile(depth: int, *, reliable: bool = True, kept: bool = False, **times_ms
     )
 
 
-COMMAND = profile(1, deadline=COMMAND_DEADLINE_MS, lifespan=COMMAND_DEADLINE_MS)
+COMMAND = profile(1, lifespan=COMMAND_LIFESPAN_MS)
 PLAN = profile(1, lifespan=PATH_LIFESPAN_MS)
 SENSOR = profile(1, reliable=False)
 MOTION = profile(10)  # reliable, because RViz and others ask for that; a reader that asks for less gets it too

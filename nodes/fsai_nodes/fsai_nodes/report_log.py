@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal
 
 from fsai_vcu.core.report import BridgeReport
@@ -24,6 +25,32 @@ class ReportLine:
     level: Level = "info"
 
 
+class Culprit:
+    """Which node a stale vehicle command is missing; the core knows only for how long."""
+
+    def __init__(self) -> None:
+        self._seen: tuple[int, str | None] = 0, None
+        self._silence = ""
+
+    def named(self, report: BridgeReport, whose_silence: Callable[[], str]) -> BridgeReport:
+        """The report with it; `whose_silence` is asked when the command becomes stale, and when that stops the car."""
+        words = words_of(_STALE)
+        stopping = report.stopping if report.stopping and report.stopping.startswith(words) else None
+        seen = report.reason_counts.get(_STALE, 0), stopping
+        if not seen[0]:
+            return report
+        if seen != self._seen:
+            self._seen = seen
+            if _STALE in report.reasons or not self._silence:
+                self._silence = whose_silence()
+        details = MappingProxyType({**report.reason_details, _STALE: self._silence})
+        if stopping is None:
+            return replace(report, reason_details=details)
+        named = f"{words}: {self._silence}"
+        why = tuple(line.replace(stopping, named) for line in report.why_not_driving)
+        return replace(report, reason_details=details, stopping=named, why_not_driving=why)
+
+
 class News:
     """Each change once; a reason that keeps coming up, once a second with its count."""
 
@@ -32,8 +59,7 @@ class News:
         self._counts: dict[str, int] = {}
         self._said_ns: dict[str, int] = {}
 
-    def of(self, report: BridgeReport, whose_silence: Callable[[], str]) -> list[ReportLine]:
-        """`whose_silence` is asked where the vehicle command is stale: it says which input is missing."""
+    def of(self, report: BridgeReport) -> list[ReportLine]:
         lines = [
             ReportLine(text, level)
             for key, text, quiet, level in self._facts(report)
@@ -46,7 +72,7 @@ class News:
             more = count - self._counts.get(slug, 0)
             if not more or (said_ns is not None and report.t_ns - said_ns < SAME_REASON_EVERY_NS):
                 continue
-            detail = whose_silence() if slug == _STALE else report.reason_details.get(slug)
+            detail = report.reason_details.get(slug)
             text = words_of(slug) + (f" ({detail})" if detail else "") + (f" [{more} times]" if more > 1 else "")
             lines.append(ReportLine(text, "error" if slug in (_STALE, _LATE_LOOP) else "warning"))
             self._counts[slug] = count

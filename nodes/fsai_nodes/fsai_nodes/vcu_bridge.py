@@ -25,7 +25,6 @@ from fsai_msgs.srv import SetMode
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
 from sensor_msgs.msg import Imu, NavSatFix
@@ -47,13 +46,13 @@ from fsai_nodes.diagnosis import diagnostics_of
 from fsai_nodes.mission_goal import GoalError, GoalResult, Waiting
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
-from fsai_nodes.report_log import News
+from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.report_log import Culprit, News
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.configuration import SAME_AS_REVISION
 from fsai_vcu.runtime.limits_file import read_limits
@@ -150,13 +149,12 @@ class VcuBridge(LifecycleNode):
         self._process: LoopHandle | None = None  # of the loop, from configuring to cleaning up
         self._loop: LoopHandle | None = None  # the same while the node is active
         self._loop_silent = False  # it should report and does not
-        self._news = News()
+        self._news, self._culprit = News(), Culprit()
         self._last_run: tuple[object, str] | None = None
         self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
         self._commands = Input(self, "vehicle_cmd")
-        self._late = ""  # which input the last command was waiting for
-        self._deadline_missed = False  # and nothing has come since
+        self._note = ""  # why the controller does not drive, as its last command says
         self._timers: list[Timer] = []
         self._goals: dict[bytes, _Following] = {}  # by goal id
         self._transforms = _TransformSender(self)
@@ -167,13 +165,7 @@ class VcuBridge(LifecycleNode):
         self._imu = publisher(self, Imu, "imu")
         self._fix = publisher(self, NavSatFix, "gps/fix")
         self._diagnostics = publisher(self, DiagnosticArray, "diagnostics")
-        self.create_subscription(
-            VehicleCommand,
-            "vehicle_cmd",
-            self._on_command,
-            TOPICS["vehicle_cmd"],
-            event_callbacks=SubscriptionEventCallbacks(deadline=self._on_deadline_missed),
-        )
+        self.create_subscription(VehicleCommand, "vehicle_cmd", self._on_command, TOPICS["vehicle_cmd"])
         self.create_subscription(
             ResetConfirmation, "reset_confirmation", self._on_confirmation, TOPICS["reset_confirmation"]
         )
@@ -188,7 +180,7 @@ class VcuBridge(LifecycleNode):
             execute_callback=self._result_of,
             goal_callback=self._on_goal,
             handle_accepted_callback=self._follow,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            cancel_callback=self._on_cancel,
         )
         if self._settings.flag("autostart"):
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -228,7 +220,7 @@ class VcuBridge(LifecycleNode):
         self._loop_silent = False
         # Stale commands are so by the age of their data: when the loop reports it, less time has passed here.
         self._commands = Input(self, "vehicle_cmd", silent_ns=configured.config.command_stale_ns // 2)
-        self._news, self._last_run = News(), None
+        self._news, self._culprit, self._last_run = News(), Culprit(), None
         self._timers = [
             self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
             self._clocks.every(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
@@ -285,7 +277,7 @@ class VcuBridge(LifecycleNode):
         if not loop.deactivate():
             self.get_logger().error("the CAN loop does not answer, and its process is ended: silence stops the car")
             self._end_process()
-        report = loop.report()
+        report = self._report(loop)
         now_ns = self._clocks.now_ns()
         self._publish_state(report, now_ns)
         self._step_goals(report, now_ns, GoalResult(False, "bridge_stopped", "vcu_bridge was stopped"))
@@ -345,24 +337,13 @@ class VcuBridge(LifecycleNode):
         sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         self._sensor_ns = sensor_ns
         self._commands.received(now_ns, now_ns - sensor_ns)
-        self._late, self._deadline_missed = message.late, False
+        self._note = message.note
         loop.submit_command(command_from_msg(message, sensor_ns))
-
-    def _on_deadline_missed(self, _event: object) -> None:
-        """The middleware says it for as long as nothing comes; the log, once."""
-        if self._loop is None or self._deadline_missed:
-            return
-        self._deadline_missed = True
-        text = f"{self._commands.who()} missed its deadline of {COMMAND_DEADLINE_MS} ms"
-        if self._loop.report().run.as_state is AsState.AS_DRIVING:
-            self.get_logger().error(text)
-        else:
-            self.get_logger().warning(text)
 
     def _whose_silence(self) -> str:
         """Which input is missing, in words, where the vehicle command is stale."""
         silence = self._commands.silence(self._clocks.now_ns())
-        return silence or self._late or self._commands.old_data() or "commands come, but late or refused"
+        return silence or self._note or self._commands.old_data() or "commands come, but late or refused"
 
     def _on_confirmation(self, message: ResetConfirmation) -> None:
         if self._loop is not None:
@@ -379,27 +360,35 @@ class VcuBridge(LifecycleNode):
         return self._served(response, "reset", LoopHandle.reset)
 
     def _served(self, response: Any, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> Any:
+        response.success, response.message = self._ask(request, ask)
+        return response
+
+    def _ask(self, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> tuple[bool, str]:
         """The loop's answer; to the log, once: who is refused tends to ask again at once."""
-        response.success, response.message = (False, _INACTIVE) if self._loop is None else ask(self._loop)
-        line = f"{request}: {response.message}"
+        done, message = (False, _INACTIVE) if self._loop is None else ask(self._loop)
+        line = f"{request}: {message}"
         if line != self._last_answer:
             self._last_answer = line
             self.get_logger().info(line)
-        return response
+        return done, message
 
     # ------------------------------------------------------------ from the car to ROS
+
+    def _report(self, loop: LoopHandle) -> BridgeReport:
+        """The newest report, in which a stale command is somebody's silence."""
+        return self._culprit.named(loop.report(), self._whose_silence)
 
     def _publish(self) -> None:
         loop = self._loop
         if loop is None:
             return
         if not loop.running:
-            self._publish_state(loop.report(), self._clocks.now_ns())
+            self._publish_state(self._report(loop), self._clocks.now_ns())
             raise NodeError(f"the CAN loop ended by itself: {loop.failure or 'no reason known'}")
-        report = loop.report()
+        report = self._report(loop)
         now_ns = self._clocks.now_ns()
         logger = self.get_logger()
-        for line in self._news.of(report, self._whose_silence):
+        for line in self._news.of(report):
             if line.level == "error":
                 logger.error(line.text)
             elif line.level == "warning":
@@ -458,7 +447,7 @@ class VcuBridge(LifecycleNode):
         for index, sentence in enumerate(newest.scheduling_refused, 1):
             more[f"not real-time {index}"] = sentence
         stamp = self._clocks.stamp_of(self._clocks.now_ns())
-        self._diagnostics.publish(diagnostics_of(loop.report(), stamp, more))
+        self._diagnostics.publish(diagnostics_of(self._report(loop), stamp, more))
 
     # ------------------------------------------------------------ /run_mission
 
@@ -478,16 +467,20 @@ class VcuBridge(LifecycleNode):
         waiting = Waiting(goal.mission, goal.until, goal.timeout_s, self._clocks.now_ns())
         self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
 
+    def _on_cancel(self, _handle: ServerGoalHandle) -> CancelResponse:
+        """Whoever cancels wants the car to stop, or not to start: mode manual. Rejected where that is not done."""
+        done, _ = self._ask("run_mission cancelled", lambda loop: loop.set_mode("manual"))
+        return CancelResponse.ACCEPT if done else CancelResponse.REJECT
+
     def _step_goals(self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None) -> None:
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
                 continue  # its result is being handed over
-            outcome = ending
-            if handle.is_cancel_requested:
-                outcome = GoalResult(False, "cancelled", "cancelled; the car goes on as it was")
-            if outcome is None:
-                outcome = following.waiting.step(report.run.as_state, _mission_shown(report), now_ns)
+            cancelled = handle.is_cancel_requested
+            # A car that is silent to a drive that was cancelled has stopped itself.
+            as_state = None if cancelled and report.vcu_lost else report.run.as_state
+            outcome = ending or following.waiting.step(as_state, _mission_shown(report), now_ns, cancelled=cancelled)
             if outcome is not None:
                 following.outcome, following.report, following.ended_ns = outcome, report, now_ns
                 handle.execute()

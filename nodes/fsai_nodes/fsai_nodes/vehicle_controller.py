@@ -49,7 +49,7 @@ class VehicleController(Node):
         self._states = Input(self, "vehicle_state")
         self._paths = Input(self, "path")
         self._planner_waits: tuple[str, int] = "", 0  # for what, and when it reported so
-        self._is_late = False  # an input is, and the log says so
+        self._trouble = (False, False)  # an input is late, there is no path: the log says so
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
         self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
@@ -107,8 +107,7 @@ class VehicleController(Node):
         self._paths.received(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
         self._pending = message
         if not message.poses:
-            self._plan = self._pending = None
-            return
+            self._plan = None  # whether or not a status says why
         self._pair()
 
     def _pair(self) -> None:
@@ -137,28 +136,26 @@ class VehicleController(Node):
             now_ns,
         )
         message = command_to_msg(command, self._clocks.stamp_of(command.t_sensor_ns))
-        message.late = self._late_input(command.t_sensor_ns, run, now_ns)
+        late = self._late_input(command.t_sensor_ns, now_ns, stuck=bool(command.note)) if run.may_move else ""
+        message.note = "; ".join(filter(None, (late, command.note)))
+        trouble = bool(late), bool(command.note)
+        if trouble != self._trouble:
+            self._trouble = trouble
+            if message.note:
+                self.get_logger().warning(f"not driving: {message.note}")
+            elif run.may_move:
+                self.get_logger().info("driving again")
         self._command.publish(message)
 
-    def _late_input(self, sensor_ns: int, run: Run, now_ns: int) -> str:
-        """Whose silence makes the data behind a command old, in words; empty while they are fresh."""
-        if not run.may_move:
-            self._is_late = False
+    def _late_input(self, sensor_ns: int, now_ns: int, *, stuck: bool) -> str:
+        """Whose silence makes the data behind a command old, or leaves the controller `stuck`; else empty."""
+        old = now_ns - sensor_ns >= LATE_NS
+        if old and (self._plan is None or sensor_ns != self._plan.t_sensor_ns):
+            return self._states.late(now_ns)
+        if not (old or stuck):
             return ""
-        if now_ns - sensor_ns < LATE_NS:
-            late = ""
-        elif self._plan is None or sensor_ns != self._plan.t_sensor_ns:
-            late = self._states.late(now_ns)
-        else:
-            words, said_ns = self._planner_waits
-            late = words if now_ns - said_ns < LATE_NS else self._paths.late(now_ns)
-        if bool(late) != self._is_late:
-            self._is_late = bool(late)
-            if late:
-                self.get_logger().warning(f"the data behind the commands grow old: {late}")
-            else:
-                self.get_logger().info("the data behind the commands are fresh again")
-        return late
+        words, said_ns = self._planner_waits
+        return words if now_ns - said_ns < LATE_NS else self._paths.late(now_ns)
 
 
 main = partial(run, [VehicleController], "vehicle_controller")

@@ -1,8 +1,8 @@
-# Included by nodes/build-messages at each package's project().
-
+# Included by CMake after the project() of each message package that is built with wheels; colcon does not need it.
+#
 # Message packages that were built elsewhere and unpacked here (as Python wheels are) export the include directories of
 # the machine they were built on. CMake stops at a directory that does not exist, so those are taken off, after
-# everything has been found and before generation. Where all directories exist, nothing changes.
+# everything has been found and before generation.
 function(fsai_drop_missing_include_directories)
   get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
   foreach(target IN LISTS targets)

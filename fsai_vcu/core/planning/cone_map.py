@@ -1,0 +1,290 @@
+"""The cones of a whole lap, and where among them the car is.
+
+The map frame is the odometry frame of the run's beginning, but the car's pose in it is corrected by every cone that is
+seen again: what is left of odometry's drift is that of a lap, not of each metre. When the lap is closed that rest is
+known, and is spread over the lap's way. From then on the cones stand, and the car is found among them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.planning.pose import NO_PATH, to_odometry, to_vehicle
+from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.interface.immutable import replace
+
+Bools = NDArray[np.bool_]
+
+NEAR_M = 25.0  # cones further from the car cannot be seen
+RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not one that is in sight now
+VIEW_M = 14.0  # cones come into view about this far ahead
+BELIEVED_HITS = 3.0
+AVERAGE_OVER = 20.0  # sightings in a cone's mean
+TRUST_GAIN, TRUST_NEW, TRUST_MIN = 0.15, 0.5, 0.2  # of the share of looks at a cone's place that find it
+MOVED_M = 0.2  # a cone so far from where it was when the map was taken has moved, …
+BORDER_M = 4.0  # … which matters within this distance of the way driven
+
+GATE_M = 0.8  # a cone seen further than this from every known one is not matched
+SIGMA_M, SIGMA_PER_M = 0.05, 0.01  # of a cone seen, with its distance
+DRIFT_M, DRIFT_PER_M = 0.004, 0.01  # of odometry between two observations
+DRIFT_RAD, DRIFT_RAD_PER_M = 0.0007, 0.0015
+CLOSED_LOOSER = 3.0  # a whole map is believed more, and raced in: wheels slip more
+FIT_GAIN = 0.2
+TAKING_FIT = 0.6  # a car that is lost does not change the map
+TRACK_STEP_M = 0.5
+
+LOST_M = 8.0  # how far from where it is thought to be the car may be found
+# Looking for the car around a guess: coarsely first, then at the best places apart from each other
+SEARCH_M = np.arange(-6.0, 6.1, 1.5)
+SEARCH_RAD = np.arange(-0.16, 0.17, 0.08)
+SEARCH_GATE_M, SEARCH_APART_M, SEARCH_PLACES = 2.0, 2.0, 4
+SEARCH_CONES, SEARCH_FIT, SEARCH_LEAD = 6, 0.8, 0.15  # so many cones, all but some fit, and elsewhere fit worse
+
+_CONE = np.dtype(
+    [
+        ("xy", np.float64, 2),
+        ("hits", np.float64),
+        ("trust", np.float64),
+        ("first_m", np.float64),  # distance driven when it was first …
+        ("last_m", np.float64),  # … and last seen
+        ("way_m", np.float64),  # mean of the distances driven when it was seen
+        ("known", np.float64, 2),  # where it was when the map was last taken
+    ]
+)
+
+
+class ConeMap:
+    """Cones in the map frame. `here` is the car in it; `fit` (0…1) says how well the cones seen agree with the map."""
+
+    def __init__(self, settings: PlannerSettings, motion: Motion) -> None:
+        self._settings = settings
+        self._cones = np.zeros(0, _CONE)
+        self._track: list[tuple[float, float, float]] = []  # distance driven and place, of the car
+        self._odometry = self.here = motion
+        self.fit = 0.0
+        self.closed = False
+        self.lap_xy_m: Floats = NO_PATH  # the way driven in the lap that was closed
+        self.changed = False  # since it was last taken
+
+    @property
+    def _believed(self) -> Bools:
+        return np.asarray(self._cones["hits"] >= BELIEVED_HITS)
+
+    def take(self) -> Floats:
+        """(N, 2) the cones believed. From now on `changed` tells whether they are still the same."""
+        self.changed = False
+        believed = self._believed
+        self._cones["known"] = np.where(believed[:, None], self._cones["xy"], np.inf)
+        return np.array(self._cones["xy"][believed])
+
+    def add(self, seen_xy_m: Floats, motion: Motion) -> Motion:
+        """Find the car in the map by the cones seen (vehicle frame), and take these in. The car in the map frame."""
+        step_m = abs(motion.distance_m - self._odometry.distance_m)
+        here = self._carried(motion)
+        cones = self._cones
+        near = np.hypot(cones["xy"][:, 0] - here.x_m, cones["xy"][:, 1] - here.y_m) < NEAR_M
+        if not self.closed:
+            near &= cones["last_m"] > motion.distance_m - RECENT_M
+        firm = near & self._believed
+        if len(seen_xy_m) and firm.any():
+            loose = CLOSED_LOOSER if self.closed else 1.0
+            drift_m, drift_rad = DRIFT_M + DRIFT_PER_M * step_m, DRIFT_RAD + DRIFT_RAD_PER_M * step_m
+            here = registered(here, seen_xy_m, cones["xy"][firm], loose * drift_m, loose * drift_rad)
+        fit = fit_of(here, seen_xy_m, cones["xy"][firm])
+        self.fit += FIT_GAIN * (fit - self.fit)
+        self.here = here
+        if not self.closed and (not self._track or motion.distance_m > self._track[-1][0] + TRACK_STEP_M):
+            self._track.append((motion.distance_m, here.x_m, here.y_m))
+        if not self.closed or self.fit > TAKING_FIT:
+            self._take_in(seen_xy_m, np.flatnonzero(near))
+        return here
+
+    def find(self, seen_xy_m: Floats) -> Motion:
+        """Look for the car some metres around where it was thought to be."""
+        cones = self._cones["xy"][self._believed]
+        around = np.hypot(cones[:, 0] - self.here.x_m, cones[:, 1] - self.here.y_m) < NEAR_M
+        self.here = located(self.here, LOST_M, seen_xy_m, cones[around]) or self.here
+        return self.here
+
+    def close(self, begun_m: float, ended_m: float, drift_m: tuple[float, float], doubt_m: float = LOST_M) -> bool:
+        """Close the lap that was driven between two passages of its line, when the distances driven were these.
+
+        `drift_m`: from where things are found at the lap's end to where they were at its beginning, within `doubt_m`.
+        False where the cones do not match yet.
+        """
+        self._cones = self._cones[self._cones["last_m"] > begun_m - RECENT_M]
+        cones, here = self._cones, self.here
+        old = self._believed & (cones["first_m"] < begun_m + RECENT_M)
+        again = self._believed & (cones["first_m"] > ended_m - VIEW_M) & ~old
+        guess = replace(here, x_m=here.x_m + drift_m[0], y_m=here.y_m + drift_m[1])
+        found = located(guess, doubt_m, to_vehicle(here, cones["xy"][again]), cones["xy"][old])
+        if found is None:
+            return False
+        driven = self._spread(found, begun_m)
+        self._merge(old, again, driven)
+        self.here, self.closed, self.changed, self.fit = found, True, True, 1.0
+        way = np.array([way for way, _, _ in self._track])
+        lap = driven[way >= begun_m]
+        # Where drift has moved the line, the lap ends where it began, not where the line was passed.
+        end = _lengths(lap - lap[0]) + np.where(way[way >= begun_m] > ended_m - VIEW_M, 0.0, np.inf)
+        self.lap_xy_m = lap[: int(end.argmin())]
+        return True
+
+    def _carried(self, motion: Motion) -> Motion:
+        """The car in the map frame by its last place there and odometry since."""
+        last, here = self._odometry, self.here
+        self._odometry = motion
+        step = to_odometry(here, to_vehicle(last, np.array([[motion.x_m, motion.y_m]])))[0]
+        yaw = here.yaw_rad + math.remainder(motion.yaw_rad - last.yaw_rad, 2.0 * math.pi)
+        return replace(motion, x_m=float(step[0]), y_m=float(step[1]), yaw_rad=yaw)
+
+    def _take_in(self, seen_xy_m: Floats, near: Ints) -> None:
+        settings, here, cones = self._settings, self.here, self._cones
+        at = to_odometry(here, seen_xy_m)
+        found = np.zeros(len(cones), dtype=bool)
+        new = np.ones(len(at), dtype=bool)
+        if len(at) and len(near):
+            gap = _gaps(at, cones["xy"][near])
+            nearest = gap.argmin(axis=1)
+            rows = np.arange(len(at))
+            new = gap[rows, nearest] > settings.same_cone_m
+            same = ~new & (gap[:, nearest].argmin(axis=0) == rows)
+            known = near[nearest[same]]
+            found[known] = True
+            cones["hits"][known] += 1.0
+            share = 1.0 / np.minimum(cones["hits"][known], AVERAGE_OVER)
+            cones["xy"][known] += share[:, None] * (at[same] - cones["xy"][known])
+            cones["way_m"][known] += share * (here.distance_m - cones["way_m"][known])
+            cones["last_m"][known] = here.distance_m
+            cones["trust"][known] += TRUST_GAIN * (1.0 - cones["trust"][known])
+        local = to_vehicle(here, cones["xy"][near])
+        reach = np.hypot(local[:, 0], local[:, 1])
+        angle = np.abs(np.arctan2(local[:, 1], local[:, 0]))
+        in_view = (reach < settings.view_range_m) & (reach > 2.5) & (angle < settings.view_half_angle_rad)
+        missed = near[in_view & ~found[near]]
+        cones["trust"][missed] *= 1.0 - TRUST_GAIN
+        gone = missed[cones["trust"][missed] < TRUST_MIN]
+        moved = near[_lengths(cones["xy"][near] - cones["known"][near]) > MOVED_M]
+        news = np.concatenate((gone, moved))
+        news = news[cones["hits"][news] >= BELIEVED_HITS]
+        if len(news) and len(self.lap_xy_m):
+            self.changed |= bool(_gaps(cones["xy"][news], self.lap_xy_m).min() < BORDER_M)
+        if len(gone):
+            cones = np.delete(cones, gone)
+        added = np.zeros(int(new.sum()), _CONE)
+        added["xy"], added["hits"], added["trust"], added["known"] = at[new], 1.0, TRUST_NEW, np.inf
+        added["first_m"] = added["last_m"] = added["way_m"] = here.distance_m
+        self._cones = np.concatenate((cones, added))
+
+    def _spread(self, found: Motion, begun_m: float) -> Floats:
+        """Bend the way driven, and the cones seen from it, so that it ends where the car was found. Returns the way.
+
+        The heading's error is spread over the way first, and what is left of the place's error then.
+        """
+        cones, here = self._cones, self.here
+        track = np.array([*self._track, (here.distance_m, here.x_m, here.y_m)])
+        way, place = track[:, 0], track[:, 1] + 1j * track[:, 2]
+        share = np.clip((way - begun_m) / (way[-1] - begun_m), 0.0, 1.0)
+        turn = np.exp(1j * share * math.remainder(found.yaw_rad - here.yaw_rad, 2.0 * math.pi))
+        bent = place[0] + np.concatenate(([0.0], (np.diff(place) * turn[1:]).cumsum()))
+        bent += share * (complex(found.x_m, found.y_m) - bent[-1])
+        at = np.minimum(way.searchsorted(cones["way_m"]), len(way) - 1)
+        moved = bent[at] + (cones["xy"] @ (1.0, 1j) - place[at]) * turn[at]
+        cones["xy"] = np.column_stack((moved.real, moved.imag))
+        return np.column_stack((bent.real, bent.imag))[:-1]
+
+    def _merge(self, old: Bools, again: Bools, driven_xy_m: Floats) -> None:
+        """Leave one of the several sightings of a cone in different parts of the lap.
+
+        What was seen at the beginning of the lap and again at its end is one cone. Any other is known best from where
+        the car passed nearest to it; seen from elsewhere, across the track, it may be off by some of the drift.
+        """
+        cones = self._cones
+        first, second = np.flatnonzero(old), np.flatnonzero(again)
+        gap = _gaps(cones["xy"][second], cones["xy"][first])
+        same = gap.min(axis=1) < GATE_M
+        cones["last_m"][first[gap.argmin(axis=1)[same]]] = self.here.distance_m
+        way = np.array([way for way, _, _ in self._track])
+        passed_m = way[_gaps(cones["xy"], driven_xy_m).argmin(axis=1)]
+        across = np.abs(passed_m - cones["way_m"]) > RECENT_M
+        across[first] = across[second] = False
+        self._cones = np.delete(cones, np.concatenate((second[same], np.flatnonzero(across))))
+
+
+def registered(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats, drift_m: float, drift_rad: float) -> Motion:
+    """The pose near `here` from which the cones seen stand where they are known to, weighed against drift."""
+    prior = np.diag((drift_m**-2, drift_m**-2, drift_rad**-2))
+    total = np.zeros(3)  # moved so far: x, y, yaw
+    spread = SIGMA_M + SIGMA_PER_M * _lengths(seen_xy_m)
+    for _ in range(2):
+        at = to_odometry(here, seen_xy_m)
+        gap = _gaps(at, fixed_xy_m)
+        error = fixed_xy_m[gap.argmin(axis=1)] - at
+        size = np.maximum(gap.min(axis=1), 1e-9)
+        weight = np.where(size < GATE_M, np.minimum(1.0, 2.0 * spread / size) / spread**2, 0.0)  # Huber's
+        arm_x, arm_y = at[:, 0] - here.x_m, at[:, 1] - here.y_m
+        sum_w, sum_x, sum_y = weight.sum(), weight @ arm_x, weight @ arm_y
+        moment = weight @ (arm_x * error[:, 1] - arm_y * error[:, 0])
+        inertia = weight @ (arm_x**2 + arm_y**2)
+        normal = np.array([[sum_w, 0.0, -sum_y], [0.0, sum_w, sum_x], [-sum_y, sum_x, inertia]])
+        pull = np.array([weight @ error[:, 0], weight @ error[:, 1], moment])
+        step = np.linalg.solve(normal + prior, pull - prior @ total)
+        total += step
+        x, y, yaw = here.x_m + float(step[0]), here.y_m + float(step[1]), here.yaw_rad + float(step[2])
+        here = replace(here, x_m=x, y_m=y, yaw_rad=yaw)
+    return here
+
+
+def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats) -> Motion | None:
+    """The pose from which the cones seen stand where they are known to, searched for around the guess.
+
+    `doubt_m`: a place so far from the guess must fit better by a tenth of all cones.
+
+    None where they fit nowhere, or about as well at two places: cones stand at even distances.
+    """
+    if len(seen_xy_m) < SEARCH_CONES or not len(fixed_xy_m):
+        return None
+    fixed = fixed_xy_m @ (1.0, 1j)
+    shifts = (SEARCH_M[:, None] + 1j * SEARCH_M).ravel()
+    turned = [replace(guess, yaw_rad=guess.yaw_rad + float(turn)) for turn in SEARCH_RAD]
+    costs = np.empty((len(turned), len(shifts)))
+    for row, pose in enumerate(turned):
+        at = to_odometry(pose, seen_xy_m) @ (1.0, 1j)
+        gap = np.abs(shifts[:, None, None] + at[:, None] - fixed).min(axis=2)
+        costs[row] = np.minimum(gap, SEARCH_GATE_M).sum(axis=1)
+    found: list[tuple[float, Motion]] = []
+    for _ in range(SEARCH_PLACES):
+        row, place = divmod(int(costs.argmin()), len(shifts))
+        shift = shifts[place]
+        costs[:, np.abs(shifts - shift) < SEARCH_APART_M] = np.inf
+        pose = replace(turned[row], x_m=guess.x_m + float(shift.real), y_m=guess.y_m + float(shift.imag))
+        for _ in range(5):
+            pose = registered(pose, seen_xy_m, fixed_xy_m, 1.0, 0.3)
+        if all(math.hypot(pose.x_m - other.x_m, pose.y_m - other.y_m) > GATE_M for _, other in found):
+            away_m = math.hypot(pose.x_m - guess.x_m, pose.y_m - guess.y_m)
+            found.append((fit_of(pose, seen_xy_m, fixed_xy_m) - 0.1 * (away_m / doubt_m) ** 2, pose))
+    found.sort(key=lambda each: each[0], reverse=True)
+    unique = len(found) == 1 or found[1][0] < found[0][0] - SEARCH_LEAD
+    return found[0][1] if found[0][0] > SEARCH_FIT and unique else None
+
+
+def fit_of(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> float:
+    """How well the cones seen from `here` agree with the known ones: 1 all and exactly, 0 none (or none seen)."""
+    if not len(seen_xy_m) or not len(fixed_xy_m):
+        return 0.0
+    gap = _gaps(to_odometry(here, seen_xy_m), fixed_xy_m).min(axis=1)
+    return float(np.maximum(0.0, 1.0 - (gap / GATE_M) ** 2).sum() / max(len(gap), 3))
+
+
+def _gaps(a: Floats, b: Floats) -> Floats:
+    """(N, M) distances between two sets of points."""
+    return np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
+
+
+def _lengths(vectors: Floats) -> Floats:
+    return np.hypot(vectors[:, 0], vectors[:, 1])

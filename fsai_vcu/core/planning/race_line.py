@@ -1,0 +1,241 @@
+"""The line of least curvature through a closed lane, between cones whose places are known.
+
+Round by round: along a closed line, how far the car may be to its left and right; the sideways displacements within
+that which make the sum of squared curvatures least (a quadratic problem, solved by an interior-point method); the line
+moved by them. It is worked out in shares of some milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded  # type: ignore[import-untyped]
+
+from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.planning.pose import lengths_along, to_vehicle
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
+
+Bools = NDArray[np.bool_]
+
+MARGIN_M = 0.3  # between body and cones
+CONE_RADIUS_M = 0.14
+NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less is the doubt of two places compared
+REACH_M = 5.0  # a cone further from the line is none of this lane's border
+BESIDE_M, BEYOND_M = 4.0, 1.0  # of cones so near to each other, one that stands so much further out is no border
+NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
+ROUNDS, STEPS, STEPS_AT_ONCE = 4, 15, 5
+SMOOTHING_M = 1.5  # of the way driven
+BODY_BEHIND_M = 0.65  # of the rear axle
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RaceLine:
+    """A closed line for the rear axle. xy_m: (N, 2) map frame; cos, sin: (N,) of its direction; left_m, right_m: (N,)
+    how far the car may be beside it with its margin kept."""
+
+    xy_m: Floats
+    cos: Floats
+    sin: Floats
+    left_m: Floats
+    right_m: Floats
+    step_m: float
+    cones_xy_m: Floats  # between which it was laid
+
+    def news(self, xy_m: Floats) -> Bools:
+        """Which of these cones (map frame) stand where the line was laid without them."""
+        dx, dy = xy_m[:, None, 0] - self.cones_xy_m[:, 0], xy_m[:, None, 1] - self.cones_xy_m[:, 1]
+        return np.asarray((dx * dx + dy * dy).min(axis=1) > NEWS_M**2)
+
+    def beside(self, here: Motion) -> tuple[int, float, float]:
+        """The point that the car is beside, how far to its left the car is (m), and how far turned to the left."""
+        dx, dy = here.x_m - self.xy_m[:, 0], here.y_m - self.xy_m[:, 1]
+        along = self.cos * math.cos(here.yaw_rad) + self.sin * math.sin(here.yaw_rad)
+        index = int((np.hypot(dx, dy) + 3.0 * (1.0 - along)).argmin())
+        cos, sin = float(self.cos[index]), float(self.sin[index])
+        left = float(dy[index]) * cos - float(dx[index]) * sin
+        return index, left, math.remainder(here.yaw_rad - math.atan2(sin, cos), 2.0 * math.pi)
+
+    def path(self, first: int, length_m: float, offsets_m: Floats, here: Motion) -> Floats:
+        """(M, 2) the line from point `first` on, in the frame of the car at `here`, its first points so far left."""
+        count = min(round(length_m / self.step_m), round(0.7 * len(self.xy_m)))
+        at = np.arange(first, first + count) % len(self.xy_m)
+        xy = self.xy_m.take(at, axis=0)
+        head = at[: len(offsets_m)]
+        offsets_m = offsets_m[:count].clip(-self.right_m[head], self.left_m[head])
+        xy[: len(head), 0] -= offsets_m * self.sin[head]
+        xy[: len(head), 1] += offsets_m * self.cos[head]
+        return to_vehicle(here, xy)
+
+
+class LineSearch:
+    """Works out the line through the lane that was driven along `lap_xy_m` (closed), between these cones."""
+
+    def __init__(self, lap_xy_m: Floats, cones_xy_m: Floats, car: VehicleParameters, step_m: float) -> None:
+        self._line = _smoothed(_resampled(lap_xy_m, step_m), step_m)
+        self._cones, self._car, self._step_m = cones_xy_m, car, step_m
+        self._rounds = self._steps = 0
+        self._problem: _Problem | None = None
+
+    def advance(self) -> RaceLine | None:
+        """Do a share of the work; the line once it is done."""
+        problem = self._problem
+        if problem is None:
+            cos, sin = _directions(self._line)
+            left, right = _bounds(self._line, cos, sin, self._cones, self._car)
+            self._problem = _Problem(self._line, cos, sin, right, left)
+            return None
+        for _ in range(STEPS_AT_ONCE):
+            problem.improve()
+        self._steps += STEPS_AT_ONCE
+        if self._steps < STEPS:
+            return None
+        line, left, right = problem.moved()
+        self._rounds, self._steps, self._problem = self._rounds + 1, 0, None
+        if self._rounds < ROUNDS:
+            self._line = _resampled(line, self._step_m)
+            return None
+        return RaceLine(line, *_directions(line), left, right, self._step_m, self._cones)
+
+
+def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:
+    """Whether the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
+    cos, sin = _directions(path_m, closed=False)
+    dx = cones_xy_m[:, None, 0] - path_m[:, 0]
+    dy = cones_xy_m[:, None, 1] - path_m[:, 1]
+    ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+    inside = (ahead > -BODY_BEHIND_M) & (ahead < car.nose_ahead_of_rear_axle_m)
+    return not (inside & (np.abs(left) < 0.5 * car.width_m + CONE_RADIUS_M + beside_m[:, None])).any()
+
+
+class _Problem:
+    """Displacements to the left, within `low` and `high`, of least sum of squared curvatures of the moved line."""
+
+    def __init__(self, line: Floats, cos: Floats, sin: Floats, low: Floats, high: Floats) -> None:
+        normal = np.column_stack((-sin, cos))
+        self._line, self._normal = line, normal
+        # Curvature times step squared: before * at[i-1] - 2 at[i] + after * at[i+1] + own
+        before = (normal * np.roll(normal, 1, axis=0)).sum(axis=1)
+        after = (normal * np.roll(normal, -1, axis=0)).sum(axis=1)
+        own = (normal * (np.roll(line, 1, axis=0) - 2.0 * line + np.roll(line, -1, axis=0))).sum(axis=1)
+        self._diagonals = (
+            np.roll(after, 1) ** 2 + 4.0 + np.roll(before, -1) ** 2,
+            -2.0 * (after + np.roll(before, -1)),
+            np.roll(before, -1) * np.roll(after, -1),
+        )
+        self._gradient = np.roll(after * own, 1) - 2.0 * own + np.roll(before * own, -1)
+        # A ring folded flat, its two sides interleaved, has its neighbours' neighbours four places away at most.
+        count = len(line)
+        index = np.arange(count)
+        self._place: Ints = np.where(index < (count + 1) // 2, 2 * index, 2 * (count - index) - 1)
+        self._banded = np.zeros((5, count))
+        for apart, values in enumerate(self._diagonals):
+            other = self._place[(index + apart) % count]
+            self._banded[np.abs(self._place - other), np.minimum(self._place, other)] = values
+        self._low, self._high = low, high
+        self.at = 0.5 * (low + high)
+        self._push = np.full((2, count), 0.1 * float(np.abs(self._gradient).mean()) + 1e-6)  # multipliers of the bounds
+
+    def moved(self) -> tuple[Floats, Floats, Floats]:
+        """The line moved, and the room left to its left and right."""
+        return self._line + self.at[:, None] * self._normal, self._high - self.at, self.at - self._low
+
+    def improve(self) -> None:
+        """One step of Newton's of the primal-dual interior-point method."""
+        first, second, third = self._diagonals
+        at = self.at
+        slope = first * at + self._gradient
+        for apart, values in ((1, second), (2, third)):
+            slope += values * np.roll(at, -apart) + np.roll(values * at, apart)
+        room = np.stack((at - self._low, self._high - at))
+        aim = 0.1 * float((room * self._push).mean())
+        banded = self._banded.copy()
+        banded[0, self._place] += (self._push / room).sum(axis=0)
+        right_side = np.empty(len(at))
+        right_side[self._place] = -slope + aim / room[0] - aim / room[1]
+        step = solveh_banded(banded, right_side, lower=True, check_finite=False)[self._place]
+        closing = np.stack((step, -step))
+        push = aim / room - self._push - self._push / room * closing
+        self.at = at + _longest(room, closing) * step
+        self._push += _longest(self._push, push) * push
+
+
+def _longest(value: Floats, step: Floats) -> float:
+    """The share of a step, up to the whole, with which all values stay positive."""
+    return min(1.0, 0.95 / max(float((-step / value).max()), 1e-9))
+
+
+def _bounds(
+    line: Floats, cos: Floats, sin: Floats, cones_xy_m: Floats, car: VehicleParameters
+) -> tuple[Floats, Floats]:
+    """(N,) how far to the left (positive) and to the right (negative) of each point the rear axle may be."""
+    dx = cones_xy_m[:, None, 0] - line[:, 0]
+    dy = cones_xy_m[:, None, 1] - line[:, 1]
+    gap = dx * dx + dy * dy
+    # A cone may stand beside several stretches of the line: it is beside each point nearer than its neighbours.
+    nearer = np.roll(gap, 1, axis=1) < gap  # is the point before
+    cone, at = np.nonzero((gap < REACH_M**2) & ~nearer & np.roll(nearer, -1, axis=1))
+    lateral = dy[cone, at] * cos[at] - dx[cone, at] * sin[at]
+    stations = np.arange(len(line), dtype=np.float64) * (_length(line) / len(line))
+    half = 0.5 * car.width_m + CONE_RADIUS_M + MARGIN_M
+    curvature = _curvature(line, cos, sin)
+    bounds = []
+    for side in (1.0, -1.0):
+        mine = side * lateral > 0.0
+        border = _border(stations, stations.take(at[mine]), side * lateral.compress(mine), _length(line))
+        # The nose swings out: what turned the car in its last metres counts.
+        outward = np.maximum(-side * curvature, 0.0)
+        back = max(1, round(car.nose_ahead_of_rear_axle_m / (stations[1] - stations[0])))
+        swing = np.max([np.roll(outward, shift) for shift in range(back + 1)], axis=0)
+        bounds.append(side * (border - half - 0.5 * car.nose_ahead_of_rear_axle_m**2 * swing))
+    left, right = bounds
+    middle = 0.5 * (left + right)
+    narrow = left - right < 2.0 * NARROW_M
+    return np.where(narrow, middle + NARROW_M, left), np.where(narrow, middle - NARROW_M, right)
+
+
+def _border(stations: Floats, at_m: Floats, lateral_m: Floats, length_m: float) -> Floats:
+    """(N,) how far off a border is at each station of the ring, between its cones (at these stations, so far off)."""
+    if not len(at_m):
+        return np.full(len(stations), REACH_M)
+    apart = np.abs(at_m[:, None] - at_m)
+    beside = np.minimum(apart, length_m - apart) < BESIDE_M
+    own = lateral_m <= np.where(beside, lateral_m, np.inf).min(axis=1) + BEYOND_M
+    return np.asarray(np.interp(stations, at_m[own], lateral_m[own], period=length_m))
+
+
+def _directions(line: Floats, closed: bool = True) -> tuple[Floats, Floats]:
+    """(N,) cosine and sine of a line's direction at each of its points."""
+    along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
+    if not closed:
+        along[0], along[-1] = line[1] - line[0], line[-1] - line[-2]
+    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+    return along[:, 0], along[:, 1]
+
+
+def _curvature(line: Floats, cos: Floats, sin: Floats) -> Floats:
+    turn = np.angle((np.roll(cos, -1) + 1j * np.roll(sin, -1)) * (np.roll(cos, 1) - 1j * np.roll(sin, 1)))
+    return np.asarray(turn / (2.0 * _length(line) / len(line)))
+
+
+def _length(line: Floats) -> float:
+    return float(lengths_along(np.concatenate((line, line[:1])))[-1])
+
+
+def _resampled(line: Floats, step_m: float) -> Floats:
+    """The closed line with points about every `step_m`, evenly."""
+    ring = np.concatenate((line, line[:1]))
+    along = lengths_along(ring)
+    at = np.linspace(0.0, along[-1], max(20, round(along[-1] / step_m)), endpoint=False)
+    return np.column_stack((np.interp(at, along, ring[:, 0]), np.interp(at, along, ring[:, 1])))
+
+
+def _smoothed(line: Floats, step_m: float) -> Floats:
+    """The closed line averaged with a bell of `SMOOTHING_M`."""
+    reach = round(2.0 * SMOOTHING_M / step_m)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_m / SMOOTHING_M) ** 2)
+    moved = [np.roll(line, shift, axis=0) for shift in range(-reach, reach + 1)]
+    return np.asarray(np.tensordot(weights / weights.sum(), np.array(moved), axes=1))

@@ -1,0 +1,142 @@
+"""Laps after the first: the map of the lap driven, the race line in it, and the way from the car along that line."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.missions.laps import LapState
+from fsai_vcu.core.planning.cone_map import LOST_M, ConeMap
+from fsai_vcu.core.planning.pose import NO_PATH, to_odometry
+from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
+from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.immutable import replace
+
+HORIZON_M = 70.0  # of the path handed on
+CLOSING_M = (10.0, 40.0)  # beyond the line: by then the lap's first cones are seen again, or are not
+SEARCH_EVERY_M = 2.0
+GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
+FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
+STEADY = 10  # observations in a row that allow the line before it is joined
+JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
+ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
+LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
+BESIDE_M, BESIDE_PER_M = 0.05, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
+
+
+class Racing:
+    """Maps from the start; once a lap is closed, gives the race line. Until then, and in doubt, it gives no path."""
+
+    def __init__(self, car: VehicleParameters, settings: PlannerSettings, motion: Motion) -> None:
+        self._car, self._settings = car, settings
+        self._map = ConeMap(settings, motion)
+        self._passages: list[LapState] = []  # the states right after the line was passed
+        self._search: LineSearch | None = None
+        self._line: RaceLine | None = None
+        self._joined_at: int | None = None
+        self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
+        self._steady = 0
+        self._searched_at_m = motion.distance_m
+        self.note = ""
+
+    @property
+    def located(self) -> bool:
+        """The car's place in a closed map is known."""
+        return self._map.closed and self._map.fit > FIT_MIN
+
+    def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:
+        """Take in the cones seen (vehicle frame). Returns the car's motion in the map frame."""
+        here = self._map.add(seen_xy_m, motion)
+        if self._map.closed and not self.located and self._may_search(motion):
+            here = self._map.find(seen_xy_m)
+        return here
+
+    def _may_search(self, motion: Motion) -> bool:
+        """A search takes as long as some observations' other work: not at each of them."""
+        if motion.distance_m < self._searched_at_m + SEARCH_EVERY_M:
+            return False
+        self._searched_at_m = motion.distance_m
+        return True
+
+    def close(self, state: LapState, motion: Motion) -> LapState:
+        """Close the map once a lap is behind the car, and put the line back where it was when the lap began."""
+        passages = self._passages
+        if state.passages > len(passages):
+            passages.append(state)
+        if self._map.closed or len(passages) < 2:
+            return state
+        begun, ended = passages[-2], passages[-1]
+        assert begun.passed_at_m is not None and ended.passed_at_m is not None
+        beyond = CLOSING_M[0] < motion.distance_m - ended.passed_at_m < CLOSING_M[1]
+        if not beyond or not self._may_search(motion):
+            return state
+        drift, doubt_m = (0.0, 0.0), LOST_M
+        if _gate_seen(begun) and _gate_seen(ended):
+            drift, doubt_m = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m), GATE_DOUBT_M
+        if not self._map.close(begun.passed_at_m, ended.passed_at_m, drift, doubt_m):
+            return state
+        return replace(state, line=replace(begun.line, at_distance_m=motion.distance_m))
+
+    def path(self, cones_xy_m: Floats, here: Motion) -> Floats:
+        """(M, 2) the way on along the race line, in the vehicle frame; nothing where it cannot be trusted.
+
+        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map.
+        """
+        self._look_for_line()
+        path, self.note = self._along_line(cones_xy_m, here)
+        if self.note:
+            self._joined_at, self._steady = None, 0
+        return path
+
+    def _look_for_line(self) -> None:
+        """A share of the work on the line, where the map has changed since it was last worked out."""
+        if self._search is None and self._map.closed and self._map.changed:
+            self._search = LineSearch(self._map.lap_xy_m, self._map.take(), self._car, self._settings.path_step_m)
+        line = self._search.advance() if self._search is not None else None
+        if line is not None:
+            self._line, self._search, self._joined_at = line, None, None
+
+    def _along_line(self, cones_xy_m: Floats, here: Motion) -> tuple[Floats, str]:
+        """The path, and why there is none where it must not be used."""
+        line, joined_at = self._line, self._joined_at
+        if line is None:
+            return NO_PATH, ""
+        if self._map.fit < (FIT_TO_JOIN if joined_at is None else FIT_MIN):
+            return NO_PATH, "the cones seen do not agree with the map"
+        index, left_m, turned_rad = line.beside(here)
+        if joined_at is None:
+            self._offsets = _joining(left_m, turned_rad, JOINING_M + JOINING_S * here.speed_mps, line.step_m)
+            joined_at, most_m = index, ASIDE_JOINING_M
+        else:
+            most_m = ASIDE_M
+        offsets = self._offsets[(index - joined_at) % len(line.xy_m) :]
+        aside_m = left_m - float(offsets[0] if len(offsets) and self._joined_at is not None else 0.0)
+        if abs(aside_m) > most_m or abs(turned_rad) > TURNED_RAD:
+            return NO_PATH, "the car is not on the race line"
+        path = line.path(index, HORIZON_M, offsets, here)
+        news = cones_xy_m[line.news(to_odometry(here, cones_xy_m))]
+        beside = BESIDE_M - BESIDE_PER_M * np.hypot(news[:, 0], news[:, 1])
+        if not clear(path[: round(LOOK_M / line.step_m)], news, beside, self._car):
+            return NO_PATH, "a cone stands on the race line"
+        self._steady += 1
+        if self._steady < STEADY:
+            return NO_PATH, ""
+        self._joined_at = joined_at
+        return path, ""
+
+
+def _gate_seen(passage: LapState) -> bool:
+    """The line was passed where its gate had been seen right before."""
+    at_m = passage.line.at_distance_m
+    return passage.line.seen and passage.passed_at_m is not None and 0.0 < passage.passed_at_m - at_m < CLOSING_M[0]
+
+
+def _joining(left_m: float, turned_rad: float, length_m: float, step_m: float) -> Floats:
+    """(N,) how far left of the line the path is, from where it leaves the car until it has come onto the line."""
+    share = np.arange(0.0, 1.0, step_m / length_m)
+    slope_m = length_m * math.tan(turned_rad)
+    return np.asarray((1.0 - share) ** 2 * (left_m * (1.0 + 2.0 * share) + slope_m * share))

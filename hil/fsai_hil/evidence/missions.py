@@ -1,0 +1,289 @@
+"""`python -m fsai_hil.evidence.missions`: every mission, under every condition of the cone sensor, with many seeds.
+
+Each run is the whole AI side against the simulated car in lockstep, judged by the judge and by the rules on the bus.
+A mission with cones is driven on its own built-in track, autocross on the small oval and on a random circuit for each
+seed, too; tracks of files are driven by each mission they suit (a circuit by autocross alone). Runs are kept in a
+record, and a run that is there is not driven again: more seeds or tracks may follow later, in the same record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.record import digest, put_aside
+from fsai_hil.evidence.work import Progress, spread
+from fsai_hil.simulator.judge import check_track
+from fsai_hil.simulator.lockstep import CONFIDENCE_THRESHOLD, Lockstep, confident
+from fsai_hil.simulator.sensing import SensorSettings
+from fsai_hil.simulator.tracks import MISSION_TRACK, load_track
+from fsai_hil.simulator.world import WorldSetup, mission_named
+from fsai_vcu.interface.enums import Ami
+
+TRACKS_VARIABLE: Final = "FSAI_TRACKS"  # folder of CSV files that are driven besides
+MIDLINE: Final = "_midline"  # files beside a track that are none
+AUTOCROSS_TOO: Final = ("small_oval", "random-SEED")
+RECORD: Final = Path("out/missions/record.jsonl")
+LISTED: Final = 40  # failures
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """How the cones are seen."""
+
+    what: str
+    sensor: SensorSettings = field(default_factory=SensorSettings)
+    threshold: float = CONFIDENCE_THRESHOLD  # of the detector
+
+
+CONDITIONS: Final[Mapping[str, Condition]] = {
+    "nominal": Condition("the simulated sensor as it is"),
+    "noise": Condition("0.1 m of noise, near and far", SensorSettings(noise_m=0.1, noise_per_m=0.0)),
+    "missing": Condition("10 % of the cones missing in each look, near and far", SensorSettings(miss_near=0.1)),
+    "colourless": Condition("no colours: all cones UNKNOWN", SensorSettings(colours=False)),
+    "clutter": Condition("a false cone in each look, and no threshold", SensorSettings(false_per_scan=1.0), 0.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One run."""
+
+    mission: str
+    track: str  # as load_track takes it, but for SEED
+    condition: str
+    seed: int
+
+    @property
+    def row(self) -> tuple[str, str, str]:
+        return self.mission, Path(self.track).stem, self.condition
+
+    @property
+    def name(self) -> str:
+        return f"{', '.join(self.row)}, seed {self.seed}"
+
+
+def cases(
+    missions: Iterable[str], conditions: Sequence[str], seeds: Sequence[int], tracks: Sequence[str] | None
+) -> Iterator[Case]:
+    """Every run asked for. `tracks`: only these; None: the built-in ones. Raises ValueError, OSError."""
+    for name in missions:
+        mission = mission_named(name)
+        own = MISSION_TRACK.get(mission)
+        if own is None:  # without cones nothing in a run is random
+            yield Case(mission.name.lower(), "static", "nominal", 0)
+            continue
+        chosen = tracks if tracks is not None else (own, *(AUTOCROSS_TOO if mission is Ami.AUTOCROSS else ()))
+        for track in chosen:
+            circuit = mission is Ami.TRACKDRIVE and track != own
+            if circuit or check_track(load_track(track.replace("SEED", "1")), mission) is not None:
+                continue
+            yield from (Case(mission.name.lower(), track, which, seed) for which in conditions for seed in seeds)
+
+
+def driven(case: Case) -> dict[str, Any]:
+    """The line of the record of one run."""
+    track, condition = load_track(case.track.replace("SEED", str(case.seed))), CONDITIONS[case.condition]
+    mission = mission_named(case.mission)
+    setup = WorldSetup(missions=[mission], track=track, seed=case.seed, sensor=condition.sensor, gps=False)
+    lockstep = Lockstep(setup)
+    lockstep.detector = partial(confident, threshold=condition.threshold)
+    result = lockstep.run()
+    found, verdict = result.as_dict(), result.verdict
+    kept = ("result", "reasons", "cones_hit", "off_course", "faults", "gate_reasons", "emergency", "sim_time_s")
+    times = verdict.lap_times_s or (verdict.driving_time_s,)
+    case = Case(*case.row, case.seed)  # where a track's file lies is of no interest
+    return {**asdict(case), **{key: found[key] for key in kept}, "times_s": [round(time, 3) for time in times]}
+
+
+# ---------------------------------------------------------------- the record and the table
+
+
+def read(path: Path) -> dict[Case, dict[str, Any]]:
+    """The runs of a record; those of other sources are put aside. A line cut short by a kill is left out."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    found = []
+    for line in lines:
+        with suppress(json.JSONDecodeError):
+            found.append(json.loads(line))
+    if found and found[0] != {"missions": digest()}:
+        print(f"{path} is of other sources, and is now {put_aside(path)}", file=sys.stderr)
+        return {}
+    return {Case(run["mission"], run["track"], run["condition"], run["seed"]): run for run in found[1:]}
+
+
+def rows(runs: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each mission, track and condition; times of the runs that passed."""
+    grouped: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for run in runs:
+        grouped.setdefault((run["mission"], run["track"], run["condition"]), []).append(run)
+    found = []
+    for (mission, track, condition), group in grouped.items():
+        passed = [run for run in group if run["result"] == "pass"]
+        times = [time for run in passed for time in run["times_s"]]
+        found.append(
+            {
+                "mission": mission,
+                "track": track,
+                "condition": condition,
+                "runs": len(group),
+                "passed": len(passed),
+                "cones_hit": sum(run["cones_hit"] for run in group),
+                "off_course": sum(run["off_course"] for run in group),
+                "faults": sum(len(run["faults"]) for run in group),
+                "time_mean_s": round(sum(times) / len(times), 2) if times else None,
+                "time_worst_s": round(max(times), 2) if times else None,
+            }
+        )
+    return found
+
+
+def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
+    """The whole document."""
+    table = rows(runs)
+    failed = [run for run in runs if run["result"] != "pass"]
+    hours = sum(run["sim_time_s"] for run in runs) / 3600.0
+    head = (
+        "mission",
+        "track",
+        "cones seen",
+        "runs",
+        "passed",
+        "cones hit",
+        "off course",
+        "faults",
+        "mean s",
+        "worst s",
+    )
+    lines = [
+        "# Missions",
+        "",
+        f"Made by `{command}`; do not edit. Sources: `{digest()}`.",
+        "",
+        f"{len(runs)} runs of the whole AI side against the simulated car in lockstep, {hours:.1f} simulated hours,"
+        " judged by the car's true motion and by the rules on the bus.",
+        "",
+        f"**Failed: {len(failed)} of {len(runs)} runs.**",
+        "",
+        "Cones hit and times off course are sums over the runs; times are of a lap (acceleration: from line to line;"
+        " missions without a track: in AS_DRIVING), of the runs that passed. Missions without cones are driven once:"
+        " nothing in them is random, and the emergency"
+        " brake in which some end is among the faults. With `random-SEED` each seed is another track.",
+        "",
+        *(f"- *{name}*: {condition.what}" for name, condition in CONDITIONS.items()),
+        "",
+        f"| {' | '.join(head)} |",
+        f"|{'---|' * 3}{'---:|' * 7}",
+        *(f"| {' | '.join('–' if value is None else str(value) for value in row.values())} |" for row in table),
+    ]
+    if failed:
+        lines += ["", "## Failed runs", ""]
+        lines += [
+            f"- {run['mission']}, {run['track']}, {run['condition']}, seed {run['seed']}: {'; '.join(run['reasons'])}"
+            for run in failed[:LISTED]
+        ]
+    return "\n".join(lines) + "\n"
+
+
+# ---------------------------------------------------------------- the command
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _conditions(text: str) -> list[str]:
+    if unknown := set(_names(text)) - set(CONDITIONS):
+        raise argparse.ArgumentTypeError(f"unknown {', '.join(sorted(unknown))}: choose of {', '.join(CONDITIONS)}")
+    return _names(text)
+
+
+def _seeds(text: str) -> range:
+    first, _, last = text.partition("-")
+    try:
+        return range(int(first), int(last) + 1) if last else range(1, int(first) + 1)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither N nor FIRST-LAST") from None
+
+
+def _tracks(texts: Iterable[str]) -> list[str]:
+    """Names, files, and what is in folders."""
+    found: list[str] = []
+    for text in texts:
+        files = sorted(str(path) for path in Path(text).glob("*.csv") if not path.stem.endswith(MIDLINE))
+        found += files if Path(text).is_dir() else [text]
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    every = ",".join(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
+    parser = argparse.ArgumentParser(
+        prog="python -m fsai_hil.evidence.missions",
+        description="Drive every mission under every condition of the cone sensor, with many seeds.",
+        epilog=f"{TRACKS_VARIABLE}=FOLDER in the environment adds the tracks in it to the built-in ones.",
+    )
+    add = parser.add_argument
+    add("--missions", type=_names, default=_names(every), metavar="A,B,…", help="default: all")
+    add("--conditions", type=_conditions, default=list(CONDITIONS), metavar="A,B,…", help=", ".join(CONDITIONS))
+    add("--seeds", type=_seeds, default=_seeds("100"), metavar="N|FIRST-LAST", help="default: 100, which is 1-100")
+    add("--tracks", type=_names, metavar="A,B,…", help="only these: names, random-SEED, CSV files, folders of them")
+    add("--record", type=Path, default=RECORD, metavar="FILE", help=f"where the runs are kept (default: {RECORD})")
+    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one per processor)")
+    add("-o", "--output", type=Path, metavar="FILE.md", help="write the document (default: to the terminal)")
+    add("--json", action="store_true", help="print the table as JSON, not the document")
+    args = parser.parse_args(arguments)
+    try:
+        tracks = None if args.tracks is None else _tracks(args.tracks)
+        asked = list(cases(args.missions, args.conditions, args.seeds, tracks))
+        if tracks is None and (folder := os.environ.get(TRACKS_VARIABLE)):
+            with_cones = [name for name in args.missions if mission_named(name) in MISSION_TRACK]
+            asked += cases(with_cones, args.conditions, args.seeds, _tracks([folder]))
+        words = list(arguments if arguments is not None else sys.argv[1:])
+        for option in ("--record", "--jobs", "-o", "--output"):
+            if option in words:  # changes no figure
+                at = words.index(option)
+                del words[at : at + 2]
+        names = (",".join(Path(part).name for part in word.split(",")) for word in words)  # not where files lie
+        return _drive(asked, args, " ".join(("python -m fsai_hil.evidence.missions", *names)))
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _drive(asked: Sequence[Case], args: argparse.Namespace, command: str) -> int:
+    record: Path = args.record
+    runs = read(record)
+    missing = [case for case in asked if Case(*case.row, case.seed) not in runs]
+    progress, failed = Progress("runs", len(missing)), 0
+    record.parent.mkdir(parents=True, exist_ok=True)
+    record.write_text("".join(json.dumps(line) + "\n" for line in ({"missions": digest()}, *runs.values())))
+    with record.open("a") as file:
+        for number, run in enumerate(spread(driven, missing, args.jobs), 1):
+            print(json.dumps(run), file=file, flush=True)
+            case = Case(run["mission"], run["track"], run["condition"], run["seed"])
+            runs[case] = run
+            if run["result"] != "pass":
+                failed += 1
+                progress.clear()
+                print(f"failed: {case.name}: {'; '.join(run['reasons'][:3])}", file=sys.stderr)
+            progress(number, f"{failed} failed")
+    progress.clear()
+    shown = [runs[Case(*case.row, case.seed)] for case in asked]
+    text = json.dumps(rows(shown)) + "\n" if args.json else markdown(shown, command)
+    if args.output:
+        args.output.write_text(text, encoding="utf-8")
+    else:
+        print(text, end="")
+    return 1 if any(run["result"] != "pass" for run in shown) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,215 @@
+"""Which processes drive, with which arguments; and those processes started, where there is no `ros2 launch`.
+
+    python -m fsai_nodes.launch simulated_car:=true mission:=autocross        (--show-args lists the arguments)
+
+launch/fsai.launch.py declares the same arguments and starts the same processes.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+from fsai_hil.rehearsal.stack import simulated_car
+from fsai_hil.simulator.ground_truth import DEFAULT_PORT
+from fsai_hil.simulator.tracks import NAMES as TRACKS
+from fsai_hil.vcan.native import INTERFACE, existing_vcan
+from fsai_nodes.composed import CLASSES
+from fsai_nodes.parameters import misspelt
+from fsai_vcu.interface.enums import Ami
+
+# launch argument, which is a parameter -> the nodes that get it
+PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    "can_interface": ("vcu_bridge",),
+    "revision": ("vcu_bridge",),
+    "car": ("vcu_bridge", "path_planner", "vehicle_controller"),
+    "limits": ("vcu_bridge",),
+    "listen_only": ("vcu_bridge",),
+    "autonomous_at_power_up": ("vcu_bridge",),
+    "noise_level": ("sensor_simulator",),
+    "truth_port": ("sensor_simulator",),
+    "confidence_threshold": ("cone_detector",),
+    "laps": ("path_planner",),
+    "max_speed": ("vehicle_controller",),
+    "lap_max_speed": ("vehicle_controller",),
+    "race_max_speed": ("vehicle_controller",),
+    "skidpad_max_speed": ("vehicle_controller",),
+    "acceleration_max_speed": ("vehicle_controller",),
+}
+_STOP_TIMEOUT_S = 15.0  # time for the bridge's goodbye to the car
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One launch argument. `choices`: empty where any text is one."""
+
+    name: str
+    default: str
+    words: str
+    choices: tuple[str, ...] = ()
+
+
+_FLAG = ("true", "false")
+_OTHERS = (
+    Argument("params_file", "", "Parameter file; arguments go before what it says. Empty: the package's fsai.yaml."),
+    Argument("simulated", "true", "Start the sensor simulator.", _FLAG),
+    Argument("simulated_car", "false", "Start the simulated VCU and car: it drives a mission, and all ends.", _FLAG),
+    Argument(
+        "mission",
+        "autocross",
+        "Mission of the simulated car.",
+        tuple(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED),
+    ),
+    Argument("track", "", f"Track of the simulated car: a file, or {', '.join(TRACKS)}. Empty: the mission's own."),
+    Argument("seed", "0", "Seed of everything random in the simulated car."),
+    Argument("without", "", "Nodes that are not started, separated by commas: those your own stack replaces."),
+    Argument("composed", "false", "All nodes but the bridge in one process.", _FLAG),
+    Argument("markers", "false", "Start visualization: /markers, the car's model and frames.", _FLAG),
+    Argument("rviz", "false", "Open RViz with what visualization publishes; starts that, too (ros2 launch).", _FLAG),
+)
+
+
+def arguments() -> tuple[Argument, ...]:
+    """All of them. Those that are parameters are described as the nodes describe them; empty: the file's value."""
+    return (*_OTHERS, *_of_the_nodes())
+
+
+def _of_the_nodes() -> Iterator[Argument]:
+    for name, nodes in PARAMETERS.items():
+        (setting,) = (each for each in import_module(f"fsai_nodes.{nodes[0]}").SETTINGS if each.name == name)
+        choices = _FLAG if isinstance(setting.default, bool) else setting.choices
+        yield Argument(name, "", setting.description, ("", *choices) if choices else ())
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """One process: the module it is, its own words, and those for ROS."""
+
+    name: str
+    module: str
+    words: tuple[str, ...] = ()
+    ros_words: tuple[str, ...] = ()
+
+    @property
+    def argv(self) -> list[str]:
+        ros = ("--ros-args", *self.ros_words) if self.ros_words else ()
+        return [sys.executable, "-m", self.module, *self.words, *ros]
+
+
+def programs(given: Mapping[str, str]) -> list[Program]:
+    """What is to be started by the arguments given. Raises ValueError with one clear line."""
+    known = {each.name: each for each in arguments()}
+    wrong = misspelt(given, known)
+    if wrong:
+        raise ValueError(wrong)
+    texts = {name: given.get(name, each.default) for name, each in known.items()}
+    for name, text in texts.items():
+        if known[name].choices and text not in known[name].choices:
+            raise ValueError(f"{name}:={text}: choose of {', '.join(filter(None, known[name].choices))}")
+    on = {name: text == "true" for name, text in texts.items()}
+    without = {name.strip() for name in texts["without"].split(",") if name.strip()}
+    if without - set(CLASSES):
+        raise ValueError(f"without:={texts['without']}: choose of {', '.join(CLASSES)}")
+
+    car = []
+    if on["simulated_car"]:
+        texts["can_interface"] = texts["can_interface"] or (INTERFACE if existing_vcan() else "loopback:fsai")
+        # Nobody is there to choose the mode.
+        texts["autonomous_at_power_up"] = texts["autonomous_at_power_up"] or "true"
+        options = {name: texts[name] for name in ("mission", "revision", "seed", "laps", "track") if texts[name]}
+        words = simulated_car(texts["can_interface"], int(texts["truth_port"] or DEFAULT_PORT), options)
+        car = [Program("simulated_car", "fsai_vcu.cli.main", tuple(words))]
+
+    if not on["simulated"]:
+        without.add("sensor_simulator")
+    if not (on["markers"] or on["rviz"]):
+        without.add("visualization")
+    nodes = [name for name in CLASSES if name not in without]
+    file = texts["params_file"] or default_file()
+    together = [name for name in nodes if name != "vcu_bridge"] if on["composed"] else []
+    started = [Program(name, f"fsai_nodes.{name}", (), _ros_words([name], texts, file)) for name in nodes]
+    if together:
+        words = ("--nodes", ",".join(together))
+        composed = Program("composed", "fsai_nodes.composed", words, _ros_words(together, texts, file))
+        started = [each for each in started if each.name not in together] + [composed]
+    return [*started, *car]
+
+
+def _ros_words(nodes: Sequence[str], texts: Mapping[str, str], file: str) -> tuple[str, ...]:
+    """The parameter file, and on top the arguments given; of several nodes in one process by the nodes' names."""
+    words = ["--params-file", file]
+    for name, takers in PARAMETERS.items():
+        for node in nodes:
+            if texts[name] and node in takers:
+                prefix = f"{node}:" if len(nodes) > 1 else ""
+                words += ["-p", f"{prefix}{name}:={texts[name]}"]
+    return tuple(words)
+
+
+def default_file() -> str:
+    """The package's parameter file: of the workspace, or of the pip environment."""
+    try:
+        share = get_package_share_directory("fsai_nodes")
+    except (PackageNotFoundError, OSError):  # no workspace, or another's; no ROS setup file at all
+        share = str(Path(sys.prefix, "share", "fsai_nodes"))
+    return str(Path(share, "config", "fsai.yaml"))
+
+
+def run(started: Sequence[Program]) -> int:
+    """Start them all; when one ends, or on SIGINT or SIGTERM, end the others. The exit status is that one's."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A Ctrl-C at the terminal is for this process, which ends the others in order.
+    processes = {
+        process.pid: (program.name, process)
+        for program in started
+        for process in [subprocess.Popen(program.argv, stdin=subprocess.DEVNULL, start_new_session=True)]
+    }
+    try:
+        pid, code = os.wait()
+        name, process = processes[pid]
+        process.returncode = status = os.waitstatus_to_exitcode(code)
+        print(f"launch: {name} has ended with status {status}; the others are ended", file=sys.stderr)
+    except KeyboardInterrupt:
+        status = 130
+    for _, process in processes.values():
+        process.terminate()
+    for _, process in processes.values():
+        try:
+            process.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+    return status
+
+
+def main() -> int:
+    words = sys.argv[1:]
+    if {"-h", "--help", "--show-args"} & set(words):
+        print(__doc__)
+        for each in arguments():
+            print(f"{each.name}:={each.default}\n    {each.words}")
+            if each.choices:
+                print(f"    one of: {', '.join(filter(None, each.choices))}")
+        return 0
+    given = dict(word.split(":=", 1) for word in words if ":=" in word)
+    unknown = [word for word in words if ":=" not in word] or sorted(set(given) - {each.name for each in arguments()})
+    try:
+        started = programs(given)
+        if unknown:
+            raise ValueError(f"'{unknown[0]}' is no argument like mission:=autocross; --show-args lists them")
+    except ValueError as error:
+        print(f"launch: {error}", file=sys.stderr)
+        return 2
+    return run(started)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

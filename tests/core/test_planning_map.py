@@ -1,0 +1,104 @@
+"""The map of a lap: closed over odometry's drift, and kept to afterwards."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lap_rig import Ride
+
+from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.tracks import random_circuit
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.planning.cone_map import ConeMap, fit_of, located
+from fsai_vcu.core.planning.settings import PlannerSettings
+
+CIRCUIT = random_circuit(1)
+
+
+class Mapping(Ride):
+    """Drives along the middle of the lane and maps."""
+
+    def __init__(self) -> None:
+        super().__init__(CIRCUIT)
+        self.map = ConeMap(PlannerSettings(), self.motion)
+        self.start = self.pose
+        self.line_at_m: list[float] = []
+
+    def drive(self, way_m: float) -> None:
+        end_m = self.motion.distance_m + way_m
+        middle = CIRCUIT.centreline_m
+        while self.motion.distance_m < end_m:
+            self.map.add(self.see().xy_m, self.motion)
+            nearest = int(np.hypot(*(middle - (self.pose.x_m, self.pose.y_m)).T).argmin())
+            ahead = np.take(middle, np.arange(nearest, nearest + 20), axis=0, mode="wrap")
+            before = self.pose.x_m
+            self.follow(np.column_stack(self.pose.seen(*ahead.T)))
+            if before < 0.0 <= self.pose.x_m and abs(self.pose.y_m) < 3.0:
+                self.line_at_m.append(self.motion.distance_m)
+
+    def truth(self, xy_m: Floats) -> Floats:
+        """Of the world, in the frame of the run's beginning."""
+        return np.column_stack(self.start.seen(*xy_m.T))
+
+    def error_m(self, motion: Motion) -> float:
+        at = self.truth(np.array([[self.pose.x_m, self.pose.y_m]]))[0]
+        return math.hypot(motion.x_m - at[0], motion.y_m - at[1])
+
+
+def test_the_map_closes_over_the_drift_of_odometry() -> None:
+    ride = Mapping()
+    ride.drive(CIRCUIT.length_m + 26.0)
+    assert ride.error_m(ride.motion) > 3.0 and not ride.map.closed
+    begun_m, ended_m = ride.line_at_m
+    assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))  # where odometry believed the line
+    lap = ride.map.lap_xy_m
+    assert np.hypot(*np.diff(np.vstack((lap, lap[:1])), axis=0).T).max() < 1.5  # a ring without a fold
+    assert np.hypot(*np.diff(lap, axis=0).T).sum() == pytest.approx(CIRCUIT.length_m, abs=4.0)
+    ride.drive(2.0)
+    assert ride.error_m(ride.map.here) < 0.5
+    cones, there = ride.map.take(), ride.truth(CIRCUIT.cones_xy_m)
+    gap = np.hypot(*(there[:, None] - cones).transpose(2, 0, 1))
+    assert gap.min(axis=1).max() < 1.2  # every cone is in the map …
+    assert len(cones) <= len(there) + 3  # … once
+    # Laps later the car is where the map says, wherever odometry is.
+    ride.drive(CIRCUIT.length_m)
+    assert ride.error_m(ride.motion) > 6.0 and ride.error_m(ride.map.here) < 1.0 and ride.map.fit > 0.8
+
+
+def test_cones_of_another_place_close_no_map() -> None:
+    ride = Mapping()
+    ride.drive(100.0)
+    half = ride.motion.distance_m - 20.0
+    assert not ride.map.close(ride.line_at_m[0], half, (0.0, 0.0))
+    assert not ride.map.closed
+
+
+def test_a_displaced_car_is_found_in_the_map() -> None:
+    cones = CIRCUIT.cones_xy_m
+    pose = Pose(10.0, 0.3, 0.1)
+    local = np.column_stack(pose.seen(*cones.T))
+    seen = local[(np.hypot(*local.T) < 14.0) & (local[:, 0] > 0.0)]
+    found = located(Motion(x_m=11.0, y_m=-0.7, yaw_rad=0.0), 2.0, seen, cones)
+    assert found is not None
+    assert (found.x_m, found.y_m, found.yaw_rad) == pytest.approx((pose.x_m, pose.y_m, pose.yaw_rad), abs=0.02)
+    # Without knowing about where it is, it may as well be one cone further on the straight.
+    assert located(replace(found, x_m=found.x_m + 2.0), 20.0, seen, cones) is None
+    assert fit_of(found, seen, cones) > 0.99
+    assert fit_of(replace(found, y_m=found.y_m + 0.8), seen, cones) < 0.3
+
+
+def test_a_cone_taken_away_leaves_the_map() -> None:
+    cones = CIRCUIT.cones_xy_m
+    known = ConeMap(PlannerSettings(), Motion())
+    seen = cones[(np.hypot(*cones.T) < 14.0) & (cones[:, 0] > 3.0)]
+    nearest = int(np.hypot(*seen.T).argmin())
+    for _ in range(10):
+        known.add(seen, Motion())
+    assert len(known.take()) == len(seen)
+    for _ in range(15):
+        known.add(np.delete(seen, nearest, axis=0), Motion())
+    assert len(known.take()) == len(seen) - 1

@@ -1,0 +1,117 @@
+"""The race line in a lane, and laps that follow it in the map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lap_rig import CAR, Ride, clearance_m
+
+from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.sensing import ConeSensor
+from fsai_hil.simulator.tracks import Track, random_circuit, small_oval
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.planning.pose import lengths_along
+from fsai_vcu.core.planning.race_line import MARGIN_M, LineSearch, RaceLine
+
+OVAL, WINDING = small_oval(), random_circuit(1)
+
+
+def race_line(track: Track) -> RaceLine:
+    search = LineSearch(track.centreline_m, track.cones_xy_m, CAR, 0.5)
+    while (line := search.advance()) is None:
+        pass
+    return line
+
+
+def squared_curvature(closed_m: Floats) -> float:
+    """Integral along a closed line, 1/m."""
+    ring = np.concatenate((closed_m, closed_m[:2]))
+    steps = np.diff(ring, axis=0)
+    turns = np.angle(np.exp(1j * np.diff(np.arctan2(steps[:, 1], steps[:, 0]))))
+    lengths = np.hypot(*steps.T)
+    return float((turns**2 / (0.5 * (lengths[1:] + lengths[:-1]))).sum())
+
+
+@pytest.mark.parametrize("track", [OVAL, WINDING])
+def test_the_whole_car_keeps_its_margin_on_the_line(track: Track) -> None:
+    line = race_line(track)
+    poses = [Pose(x, y, math.atan2(sin, cos)) for (x, y), cos, sin in zip(line.xy_m, line.cos, line.sin, strict=True)]
+    assert min(clearance_m(pose, track.cones_xy_m) for pose in poses) > MARGIN_M - 0.01
+
+
+@pytest.mark.parametrize("track", [OVAL, WINDING])
+def test_the_line_bends_less_than_the_middle_of_the_lane(track: Track) -> None:
+    assert squared_curvature(race_line(track).xy_m) < 0.9 * squared_curvature(track.centreline_m)
+
+
+def test_every_look_has_a_path_and_lap_two_races() -> None:
+    ride = Ride(OVAL, laps=2)
+    mapped_from_m = ride.until_mapped() and ride.motion.distance_m  # step asserts the paths
+    assert mapped_from_m < 1.4 * OVAL.length_m
+    while not (plan := ride.step()).finished:
+        path = plan.path_m
+        assert plan.mapped and math.hypot(*path[0]) < 0.6
+        assert plan.supported_m == pytest.approx(lengths_along(path)[-1], rel=0.05) and plan.supported_m > 50.0
+        assert np.hypot(*np.diff(path, axis=0).T).max() < 0.6
+        assert clearance_m(ride.pose, OVAL.cones_xy_m) > 0.1
+    assert plan.laps == 2 and plan.stop_distance_m is not None
+    assert abs(OVAL.start_line.seen(ride.pose.x_m, ride.pose.y_m)[0]) < 1.5  # counted where the line is
+
+
+def test_the_path_comes_from_the_car_onto_the_line() -> None:
+    ride = Ride(OVAL)
+    first = ride.until_mapped()
+    second = ride.step()
+    assert math.hypot(*first.path_m[0]) < 0.3
+    turned = np.abs(np.diff(np.unwrap(np.arctan2(*np.diff(first.path_m[:40], axis=0).T[::-1]))))
+    assert turned.max() < 0.5 * 0.3 and second.mapped  # no tighter than the car can turn
+
+
+def move_cone(ride: Ride, ahead_m: float, inward_m: float) -> int:
+    """The left cone nearest to a place of the lap ahead steps into the lane. Returns which one it is."""
+    track = ride.track
+    middle = track.centreline_m
+    here = int(np.hypot(*(middle - (ride.pose.x_m, ride.pose.y_m)).T).argmin())
+    along = lengths_along(middle)
+    place = middle[int(np.abs(along - (along[here] + ahead_m) % along[-1]).argmin())]
+    away = np.hypot(*(track.cones_xy_m - place).T) + np.where(track.cone_colors == ConeColor.BLUE, 0.0, np.inf)
+    cone = int(away.argmin())
+    inward = middle[int(np.hypot(*(middle - track.cones_xy_m[cone]).T).argmin())] - track.cones_xy_m[cone]
+    moved = track.cones_xy_m.copy()
+    moved[cone] += inward_m * inward / math.hypot(*inward)
+    ride.track = replace(track, cones_xy_m=moved)
+    ride.sensor = ConeSensor(ride.track, seed=1)
+    return cone
+
+
+def test_a_moved_cone_is_avoided_and_raced_around() -> None:
+    ride = Ride(OVAL, laps=4)
+    ride.until_mapped()
+    cone = ride.track.cones_xy_m[move_cone(ride, 52.0, 0.7)]
+    beside = []  # the moved cone: laps and whether the path is the map's
+    while (plan := ride.step()).laps < 3:
+        assert clearance_m(ride.pose, ride.track.cones_xy_m) > 0.05
+        if math.hypot(*(cone - (ride.pose.x_m, ride.pose.y_m))) < 8.0:
+            beside.append((plan.laps, plan.mapped))
+    assert len(beside) > 20 and {mapped for laps, mapped in beside if laps == 2} == {True}
+
+
+def test_a_cone_seen_on_the_line_outranks_the_map() -> None:
+    ride = Ride(OVAL)
+    ride.until_mapped()
+    move_cone(ride, 9.0, 1.2)
+    plans = [ride.step() for _ in range(4)]
+    assert not plans[-1].mapped and "cone" in plans[-1].note
+
+
+def test_a_car_lost_in_the_map_follows_the_lane() -> None:
+    ride = Ride(OVAL)
+    ride.until_mapped()
+    elsewhere = ride.motion
+    ride.motion = replace(elsewhere, x_m=elsewhere.x_m + 40.0, yaw_rad=elsewhere.yaw_rad + 1.0)
+    plans = [ride.step() for _ in range(8)]
+    assert not plans[-1].mapped and "map" in plans[-1].note

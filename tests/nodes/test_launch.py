@@ -1,0 +1,128 @@
+"""What is started by which arguments: by `ros2 launch`, with launch's classes as stand-ins, and without it."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fsai_nodes.launch import PARAMETERS, Program, arguments, programs
+
+CHECKOUT = Path(__file__).parents[2]
+LAUNCH_FILE = CHECKOUT / "nodes" / "fsai_nodes" / "launch" / "fsai.launch.py"
+CHAIN = {"vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller"}
+CLASSES = {
+    "launch": ("LaunchDescription",),
+    "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction", "Shutdown"),
+    "launch.substitutions": ("PathJoinSubstitution",),
+    "launch_ros.actions": ("Node",),
+    "launch_ros.substitutions": ("FindPackageShare",),
+}
+
+
+class Recorded:
+    """Whatever launch's classes are made with."""
+
+    def __init__(self, *words: Any, **options: Any) -> None:
+        self.words, self.options = words, options
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    monkeypatch.setitem(sys.modules, "launch_ros", ModuleType("launch_ros"))
+    for name, classes in CLASSES.items():
+        module = ModuleType(name)
+        for each in classes:
+            setattr(module, each, type(each, (Recorded,), {}))
+        monkeypatch.setitem(sys.modules, name, module)
+    return runpy.run_path(str(LAUNCH_FILE))
+
+
+def started(**given: str) -> dict[str, Program]:
+    return {program.name: program for program in programs({"params_file": "p.yaml", **given})}
+
+
+def test_every_argument_is_declared_with_words_and_choices(launch_file: dict[str, Any]) -> None:
+    *declared, start = launch_file["generate_launch_description"]().words[0]
+    assert type(start).__name__ == "OpaqueFunction"
+    assert [each.words[0] for each in declared] == [each.name for each in arguments()]
+    assert len({each.words[0] for each in declared}) == len(declared) > len(PARAMETERS)
+    for each in declared:
+        options = each.options
+        assert len(options["description"]) > 10, each.words
+        assert options["choices"] is None or options["default_value"] in options["choices"], each.words
+    with_choice = {each.words[0] for each in declared if each.options["choices"]}
+    assert {"revision", "car", "listen_only", "mission", "simulated_car", "rviz"} <= with_choice
+
+
+def test_ros2_launch_starts_the_same_and_ends_with_the_car(launch_file: dict[str, Any]) -> None:
+    given = {"simulated_car": "true", "max_speed": "5.0", "params_file": "p.yaml", "somebody_elses": "x"}
+    *nodes, car = launch_file["start"](SimpleNamespace(launch_configurations=given))
+    wanted = started(simulated_car="true", max_speed="5.0")
+    assert {node.options["executable"] for node in nodes} == CHAIN == set(wanted) - {"simulated_car"}
+    for node in nodes:
+        assert tuple(node.options["ros_arguments"]) == wanted[node.options["executable"]].ros_words
+    assert car.options["cmd"] == wanted["simulated_car"].argv
+    assert [type(each).__name__ for each in car.options["on_exit"]] == ["Shutdown"]
+
+
+def test_the_car_and_the_bridge_meet_on_one_bus_and_one_run() -> None:
+    found = started(simulated_car="true", can_interface="loopback:x", laps="2", revision="2021", truth_port="26000")
+    car = " ".join(found["simulated_car"].argv)
+    assert "vcu -i loopback:x --auto --truth 26000 --mission=autocross --revision=2021 --seed=0 --laps=2" in car
+    bridge = found["vcu_bridge"].ros_words
+    assert {"can_interface:=loopback:x", "revision:=2021", "autonomous_at_power_up:=true"} <= set(bridge)
+    assert "truth_port:=26000" in found["sensor_simulator"].ros_words
+    assert "laps:=2" in found["path_planner"].ros_words
+    assert "simulated_car" not in started(can_interface="can0")
+    assert "autonomous_at_power_up:=true" not in started(can_interface="can0")["vcu_bridge"].ros_words
+
+
+def test_what_is_started_is_what_was_asked_for() -> None:
+    assert set(started()) == CHAIN
+    assert set(started(simulated="false", markers="true")) == CHAIN - {"sensor_simulator"} | {"visualization"}
+    assert set(started(without="path_planner, vehicle_controller")) == CHAIN - {"path_planner", "vehicle_controller"}
+    together = started(composed="true", laps="3", without="cone_detector")
+    assert set(together) == {"vcu_bridge", "composed"}
+    assert together["composed"].words == ("--nodes", "sensor_simulator,path_planner,vehicle_controller")
+    assert together["composed"].ros_words == ("--params-file", "p.yaml", "-p", "path_planner:laps:=3")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"lapz": "3"}, "unknown argument lapz: did you mean laps?"),
+        ({"mission": "drag race"}, "mission:=drag race: choose of acceleration, skidpad"),
+        ({"listen_only": "yes"}, "listen_only:=yes: choose of true, false"),
+        ({"without": "planner"}, "without:=planner: choose of vcu_bridge"),
+    ],
+)
+def test_a_wrong_argument_is_refused_in_one_line(given: dict[str, str], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        programs(given)
+
+
+def test_without_launch_the_first_that_ends_ends_the_others(tmp_path: Path) -> None:
+    code = (
+        "import sys; from fsai_nodes.launch import Program, run;"
+        "sys.exit(run([Program('waits', 'http.server', ('0', '--bind', '127.0.0.1')), Program('fails', 'absent')]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "launch: fails has ended with status 1" in done.stderr
+
+
+def test_without_launch_the_arguments_are_listed_and_checked() -> None:
+    def launched(*words: str) -> subprocess.CompletedProcess[str]:
+        argv = [sys.executable, "-m", "fsai_nodes.launch", *words]
+        return subprocess.run(argv, capture_output=True, text=True, timeout=60)
+
+    listed = launched("--show-args")
+    assert listed.returncode == 0 and all(f"\n{each.name}:={each.default}\n" in listed.stdout for each in arguments())
+    refused = launched("zebra:=1")
+    assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and "zebra" in refused.stderr
