@@ -405,7 +405,7 @@ class BusView:
             self._stop("manual was asked for")
         elif mode == "autonomous":
             known = s.status_ns is not None and now_ns - s.status_ns < n.STATUS_LOST_NS
-            if done and (not known or s.as_state not in IDLE or process.listen_only):
+            if done and not s.autonomous and (not known or s.as_state not in IDLE or process.listen_only):
                 self.wrong("modes", f"autonomous was accepted in {self.where}")
             s.autonomous = s.autonomous or done
             s.power_up = s.power_up and not done
