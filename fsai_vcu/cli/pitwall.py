@@ -102,7 +102,7 @@ def _show(source: Source, server: Server, *, loop: bool) -> None:
     while True:
         view, picture, _, words = source.look()
         trace.update(view.memory, picture)
-        if shown_s >= story_s:
+        if shown_s >= story_s and server.viewers:  # it takes the longer the longer the run is
             story_s = shown_s + STORY_S
             points = [round(100 * each) for point in trace.points for each in point]
             server.publish("story", {"way_cm": points, "events": events_of(view.events(), picture.t_ns, source.clock)})

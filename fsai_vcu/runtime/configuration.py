@@ -166,7 +166,7 @@ KEYS: tuple[Key, ...] = (
         _CONTROLLER,
         CONTROLLER_RANGES,
         max_speed_mps=f"highest speed in every mission; {NO_SPEED_LIMIT_MPS:g}: not limited",
-        lap_max_speed_mps="highest speed on laps (autocross, trackdrive)",
+        lap_max_speed_mps="highest speed on laps without a map (autocross, lap one of trackdrive)",
         race_max_speed_mps="highest speed on laps whose path follows a map",
         skidpad_max_speed_mps="highest speed in the skidpad",
         acceleration_max_speed_mps="highest speed in the acceleration",

@@ -22,7 +22,7 @@ setup(
     python_requires=PROJECT["requires-python"],
     packages=[*(each for each in PACKAGES if "__pycache__" not in each), *DATABASES],
     package_dir=DATABASES,
-    package_data={"": ["*.xml", "*.json", "*.js", "*.css", "*.c", "*.dbc", "py.typed"]},
+    package_data={"": ["*.xml", "*.json", "*.js", "*.css", "*.html", "*.c", "*.dbc", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -17,7 +17,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.path_tracking import Line, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.speed_profile import speed_profile
+from fsai_vcu.core.control.speed_profile import BRAKING_SHARE_MIN, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.demo import DemoState, advance_demo
 from fsai_vcu.core.missions.request import CarView, MissionRequest
@@ -32,6 +32,8 @@ WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.
 SPEED_LIMIT_MARGIN_MPS = 1.0  # the motors' own limit, over the speed aimed at: it guards, it does not control
 HELD_BELOW_MPS = 0.1  # so that a speed held does not exceed the one that is set
 NEARLY_AT_REST_MPS = 1.5
+ASIDE_MAX_M = 4.0  # a path further beside the car …
+AHEAD_MAX_M = 6.0  # … or that begins further ahead of it is not one from where it is
 PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
 STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
 PREDICTED_IN = 5  # steps
@@ -225,6 +227,8 @@ class Controller:
 
         x, y, course, travel = self._predicted(there, motion, now_ns)
         station, left = line.beside(x, y, driven)
+        if abs(left) > ASIDE_MAX_M or station < -AHEAD_MAX_M:
+            return self._no_way("the path is not where the car is")
         length_m = line.along_m[-1] - station
         if length_m < settings.path_min_m:
             return self._no_way(f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else ""))
@@ -233,6 +237,8 @@ class Controller:
         if self._finished:
             return 0.0, settings.final_brake
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
+        if age_s > settings.plan_old_s:
+            self._note = f"the plan is {age_s:.1f} s old"
         if age_s > settings.plan_lost_s:
             return 0.0, settings.gentle_brake
         throttle, brake = self._accelerate(line, station - travel, speed, now_ns)
@@ -307,11 +313,15 @@ class Controller:
         ahead_m = here_m + speed * settings.reaction_s + max(later, 0.0) * settings.preview_s
         aim = math.sqrt(float(np.interp(ahead_m, line.along_m, self._profile)))
         wanted = (aim - later) / settings.preview_s
-        wanted = min(max(wanted, -settings.braking_max_mps2), most_mps2(self._car, speed))
+        # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
+        curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
+        sideways = speed * speed * curvature / settings.race_lateral_mps2
+        hardest = settings.braking_max_mps2 * math.sqrt(max(1.0 - sideways * sideways, BRAKING_SHARE_MIN**2))
+        wanted = min(max(wanted, -hardest), most_mps2(self._car, speed))
         if self._accelerated_ns is not None:
             most = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
             wanted = min(wanted, self._acceleration_mps2 + most)
-            if wanted > -settings.braking_max_mps2:  # what nobody could foresee is braked for at once
+            if wanted > -hardest:  # what nobody could foresee is braked for at once
                 wanted = max(wanted, self._acceleration_mps2 - most)
         self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
         self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled
+from fsai_vcu.core.planning.pose import headings_along, resampled
 from fsai_vcu.interface.immutable import Immutable
 
 STEP_M = 0.5
@@ -51,8 +51,7 @@ def line_of(path_m: Floats) -> Line | None:
     """The line of an (M, 2) path; None where it is none."""
     if len(path_m) < 2 or not np.isfinite(path_m).all():
         return None
-    at_most = int(np.searchsorted(lengths_along(path_m), LONGEST_M)) + 1
-    path = resampled(path_m[:at_most], STEP_M)
+    path = resampled(path_m, STEP_M, LONGEST_M)
     if len(path) < FEWEST:
         return None
     cos, sin = headings_along(path)

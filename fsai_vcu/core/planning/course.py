@@ -6,12 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.interface.immutable import Immutable
 
 BRAKING_DELAY_S = 0.3
+BLIND_MAX_M = 12.0  # driven by odometry alone where the way is known from the cones seen before
+CONES_MIN = 2  # in one look, that keep a way believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,11 @@ class Strategy(Protocol):
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         """The way on, after `memory` has taken in the cones seen (vehicle frame) from `motion`."""
+
+
+def blind(blind_m: float) -> Course:
+    """No way on, as no cones have been seen for so long."""
+    return Course(np.zeros((0, 2)), supported_m=0.0, confidence=0.0, note=f"no cones are seen for {blind_m:.0f} m")
 
 
 def braking_m(speed_mps: float, deceleration_mps2: float) -> float:

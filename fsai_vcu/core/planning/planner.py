@@ -46,6 +46,7 @@ class Planner:
         self._memory.clear()
         self._strategy = self._strategy_for(run.mission)
         self._last: Motion | None = None
+        self._anchor_due = False  # at the next observation: the car stands there for 3 s
 
     def on_run(self, run: Run) -> None:
         """The run goes on, perhaps in another AS state; another run (id or mission) resets.
@@ -57,8 +58,7 @@ class Planner:
             return
         starts = run.as_state is AsState.AS_DRIVING and self._run.as_state is not AsState.AS_DRIVING
         self._run = run
-        if starts and self._strategy is not None and self._last is not None:
-            self._strategy.anchor(self._last)
+        self._anchor_due |= starts
 
     def on_cones(self, obs: ConeObservation, motion: Motion) -> Plan | None:
         """The plan after an observation; None where the mission needs no path.
@@ -71,6 +71,9 @@ class Planner:
         self._last = there
         if self._strategy is None:
             return None
+        if self._anchor_due:
+            self._anchor_due = False
+            self._strategy.anchor(there)
         xy, color = believable(obs, self._settings)
         self._memory.add(xy, color, there)
         course = self._strategy.plan(self._memory, xy, there)

@@ -37,10 +37,10 @@ def lengths_along(path_m: Floats) -> Floats:
     return along
 
 
-def resampled(path_m: Floats, step_m: float) -> Floats:
-    """The path with points every `step_m` from its first one; the rest of the last step is dropped."""
+def resampled(path_m: Floats, step_m: float, most_m: float = math.inf) -> Floats:
+    """The path with points every `step_m` from its first one, up to `most_m`; the rest of the last step is dropped."""
     along = lengths_along(path_m)
-    at = np.arange(0.0, along[-1] + 1e-9, step_m)
+    at = np.arange(0.0, min(float(along[-1]), most_m) + 1e-9, step_m)
     points = np.empty((len(at), 2))
     points[:, 0], points[:, 1] = np.interp(at, along, path_m[:, 0]), np.interp(at, along, path_m[:, 1])
     return points

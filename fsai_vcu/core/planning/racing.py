@@ -23,6 +23,7 @@ GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 STEADY = 10  # observations in a row that allow the line before it is joined
 JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
+BEHIND_JOINING = 20  # points of the line: so little behind the place where it joined the car is before it
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
 LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
 BESIDE_M, BESIDE_PER_M = 0.05, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
@@ -113,7 +114,10 @@ class Racing:
             joined_at, most_m = index, ASIDE_JOINING_M
         else:
             most_m = ASIDE_M
-        offsets = self._offsets[(index - joined_at) % len(line.xy_m) :]
+        driven = (index - joined_at) % len(line.xy_m)
+        if len(self._offsets) <= driven < len(line.xy_m) - BEHIND_JOINING:  # joined: a lap later it is not joined anew
+            self._offsets = np.zeros(0)
+        offsets = self._offsets[driven:]
         aside_m = left_m - float(offsets[0] if len(offsets) and self._joined_at is not None else 0.0)
         if abs(aside_m) > most_m or abs(turned_rad) > TURNED_RAD:
             return NO_PATH, "the car is not on the race line"

@@ -458,7 +458,8 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
         return state, False, "autonomous refused: this process only listens (listen_only)"
     latched = "" if state.emergency is None else f", but the emergency brake is latched because {state.emergency.words}"
     if state.mode is Mode.AUTONOMOUS:
-        return replace(state, power_up=False), True, f"mode is autonomous already{latched}"
+        stop = "" if state.stop is None or latched else f", but the car is being stopped because {state.stop.words}"
+        return replace(state, power_up=False), True, f"mode is autonomous already{latched}{stop}"
     unknown = _unknown_state(config, state, now_ns)
     if unknown is not None:
         return state, False, f"autonomous refused: {unknown}"

@@ -39,7 +39,8 @@ _TOO_MANY: Final = (
 def explained(record: Record) -> Explanation:
     """What happened in a log, and why."""
     kinds = (emergencies(record), refusals(record), early_stops(record), mismatches(record))
-    incidents = [incident for kind in kinds for incident in islice(kind, MOST_INCIDENTS)]
+    found = [list(islice(kind, MOST_INCIDENTS + 1)) for kind in kinds]
+    incidents = [incident for kind in found for incident in kind[:MOST_INCIDENTS]]
     return Explanation(
         heading={
             "revision": record.revision.name,
@@ -52,7 +53,7 @@ def explained(record: Record) -> Explanation:
         timeline=partial(timeline, record),
         incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
         closing=_closing(record),
-        problems=(*_missing(record), *([_TOO_MANY] if len(incidents) >= MOST_INCIDENTS else [])),
+        problems=(*_missing(record), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
 

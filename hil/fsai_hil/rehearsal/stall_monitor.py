@@ -6,7 +6,7 @@ that with a stop, for on a car it is a fault; but a test then shows nothing abou
 separates the two. It shares nothing with bridge and simulated car and goes before both (a higher real-time priority):
 when it wakes late, nothing on this machine could have run in time.
 
-    with StallMonitor(Path("/tmp/stalls")) as monitor:
+    with StallMonitor(Path("out/stalls")) as monitor:
         since_ns = time.monotonic_ns()
         ...
         why = monitor.disturbed(since_ns)

@@ -133,7 +133,7 @@ def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan 
         stop_distance_m=status.stop_distance_m if math.isfinite(status.stop_distance_m) else None,
         cones_count_actual=status.cones_count_actual,
         cones_count_all=status.cones_count_all,
-        supported_m=status.supported_m if status.supported_m > 0.0 else math.inf,
+        supported_m=math.inf if status.supported_m == 0.0 else max(0.0, status.supported_m),
         confidence=status.confidence if math.isfinite(status.confidence) else 0.0,
         mapped=status.mapped,
         note=status.note,

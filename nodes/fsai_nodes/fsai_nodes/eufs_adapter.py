@@ -6,6 +6,7 @@ flags, and this node makes a vehicle command of them. It needs ackermann_msgs an
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 from ackermann_msgs.msg import AckermannDriveStamped
@@ -177,6 +178,10 @@ class EufsAdapter(Node):
     # ------------------------------------------------------------ from the stack to the bridge
 
     def _on_cmd(self, message: AckermannDriveStamped) -> None:
+        drive = message.drive
+        if not all(map(math.isfinite, (drive.steering_angle, drive.acceleration, drive.speed))):
+            self.get_logger().warning("/cmd refused: it holds a number that is none", throttle_duration_sec=1.0)
+            return
         self._cmd, self._cmd_ns = message, self._clocks.now_ns()
 
     def _on_driving_flag(self, message: Bool) -> None:

@@ -24,6 +24,7 @@ from fsai_hil.simulator.tracks import NAMES as TRACKS
 from fsai_hil.vcan.native import INTERFACE, existing_vcan
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.parameters import misspelt
+from fsai_vcu.diagnostics.transmit.replaying import is_physical
 from fsai_vcu.interface.enums import Ami
 
 # launch argument, which is a parameter -> the nodes that get it
@@ -122,6 +123,8 @@ def programs(given: Mapping[str, str]) -> list[Program]:
     car = []
     if on["simulated_car"]:
         texts["can_interface"] = texts["can_interface"] or (INTERFACE if existing_vcan() else "loopback:fsai")
+        if is_physical(texts["can_interface"]):
+            raise ValueError(f"can_interface:={texts['can_interface']}: a simulated car is for a virtual bus only")
         # Nobody is there to choose the mode.
         texts["autonomous_at_power_up"] = texts["autonomous_at_power_up"] or "true"
         options = {name: texts[name] for name in ("mission", "revision", "seed", "laps", "track") if texts[name]}
@@ -165,20 +168,25 @@ def default_file() -> str:
 
 def run(started: Sequence[Program]) -> int:
     """Start them all; when one ends, or on SIGINT or SIGTERM, end the others. The exit status is that one's."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # A Ctrl-C at the terminal is for this process, which ends the others in order.
-    processes = {
-        process.pid: (program.name, process)
-        for program in started
-        for process in [subprocess.Popen(program.argv, stdin=subprocess.DEVNULL, start_new_session=True)]
-    }
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
+    processes: dict[int, tuple[str, subprocess.Popen[bytes]]] = {}
     try:
+        # A Ctrl-C at the terminal is for this process, which ends the others in order.
+        for program in started:
+            process = subprocess.Popen(program.argv, stdin=subprocess.DEVNULL, start_new_session=True)
+            processes[process.pid] = program.name, process
         pid, code = os.wait()
         name, process = processes[pid]
         process.returncode = status = os.waitstatus_to_exitcode(code)
         print(f"launch: {name} has ended with status {status}; the others are ended", file=sys.stderr)
     except KeyboardInterrupt:
         status = 130
+    except OSError as error:
+        print(f"launch: {error}", file=sys.stderr)
+        status = 1
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # the others are being ended
     for _, process in processes.values():
         process.terminate()
     for _, process in processes.values():
