@@ -55,6 +55,7 @@ ARROWS: dict[str, set[str]] = {
         "fsai_hil.rehearsal",
         "fsai_hil.simulator",
         "fsai_hil.vcan",
+        f"{DIAGNOSTICS}.transmit",
         "fsai_vcu.interface",
     },
     "fsai_hil": set(),

@@ -580,3 +580,25 @@ def test_every_command_is_valid_and_never_has_throttle_and_brake(
 def test_a_setting_outside_its_range_is_refused_by_name(settings_class: Any, name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         settings_class(**{name: value})
+
+
+@pytest.mark.parametrize(
+    "path",
+    [STRAIGHT + (0.0, 5.0), STRAIGHT + (10.0, 0.0), np.array([[0.0, 0.0], [5.0, 0.0], [1e12, 0.0]])],
+    ids=["beside", "ahead", "endless"],
+)
+def test_a_path_that_is_elsewhere_is_not_driven_on(path: np.ndarray) -> None:
+    command = ask(plan_of(path), 4.0)
+    endless = path[-1, 0] > 1e6
+    assert (command.note == "the path is not where the car is") != endless
+    assert (command.throttle > 0.0) == endless
+
+
+def test_a_map_lost_in_a_corner_leaves_grip_for_the_corner() -> None:
+    controller, speed = reset_for(RUN), 12.0
+    for t_ms in (0, 20, 40):
+        ask(plan_of(arc(20.0, 60.0), mapped=True), speed, controller, now_ns=t_ms * 1_000_000)
+    brake = ask(plan_of(arc(20.0, 60.0)), speed, controller, now_ns=60_000_000).brake
+    sideways = speed**2 / 20.0 / SETTINGS.race_lateral_mps2
+    most = SETTINGS.braking_max_mps2 * max(math.sqrt(max(1.0 - sideways**2, 0.0)), 0.2)
+    assert 0.0 < brake * CAR.brake_full_mps2 <= 1.2 * most + 0.13 * CAR.brake_full_mps2

@@ -137,10 +137,23 @@ def test_the_lane_in_is_followed_until_the_circles_are_found() -> None:
 def test_without_circles_there_is_no_path_beyond_the_lane_in() -> None:
     planner = Planner(ADS_DV_2026)
     planner.reset(Run(1, Ami.SKIDPAD))
-    nothing = ConeObservation(1, NOTHING, np.zeros(0, dtype=np.int64), np.zeros(0))
+    lane = np.array([[5.0, 1.5], [5.0, -1.5]])
+    seen = ConeObservation(1, lane, np.zeros(2, dtype=np.int64), np.ones(2))
     lengths = []
     for x in (0.0, 29.0, 31.0):
-        plan = planner.on_cones(replace(nothing, t_ns=int(x)), Motion(int(x), x_m=x, distance_m=x))
+        plan = planner.on_cones(replace(seen, t_ns=int(x)), Motion(int(x), x_m=x, distance_m=x))
         assert plan is not None and plan.note
         lengths.append(len(plan.path_m))
     assert lengths[0] == lengths[1] > 20 and lengths[2] == 0
+
+
+@pytest.mark.parametrize("mission", [Ami.SKIDPAD, Ami.ACCELERATION])
+def test_where_no_cones_are_seen_any_more_there_is_no_path(mission: Ami) -> None:
+    planner = Planner(ADS_DV_2026)
+    planner.reset(Run(1, mission))
+    nothing = ConeObservation(1, NOTHING, np.zeros(0, dtype=np.int64), np.zeros(0))
+    plans = []
+    for x in (0.0, 11.0, 13.0):
+        plans.append(planner.on_cones(replace(nothing, t_ns=int(x)), Motion(int(x), x_m=x, distance_m=x)))
+    assert [bool(len(plan.path_m)) for plan in plans if plan is not None] == [True, True, False]
+    assert plans[-1] is not None and plans[-1].note == "no cones are seen for 13 m"
