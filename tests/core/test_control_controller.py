@@ -584,7 +584,7 @@ def test_a_setting_outside_its_range_is_refused_by_name(settings_class: Any, nam
 
 @pytest.mark.parametrize(
     "path",
-    [STRAIGHT + (0.0, 5.0), STRAIGHT + (10.0, 0.0), np.array([[0.0, 0.0], [5.0, 0.0], [1e12, 0.0]])],
+    [moved(STRAIGHT, 0.0, 5.0), moved(STRAIGHT, 10.0, 0.0), np.array([[0.0, 0.0], [5.0, 0.0], [1e12, 0.0]])],
     ids=["beside", "ahead", "endless"],
 )
 def test_a_path_that_is_elsewhere_is_not_driven_on(path: np.ndarray) -> None:
