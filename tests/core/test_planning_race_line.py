@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lap_rig import CAR, Ride, clearance_m
+from lap_rig import CAR, STEP_M, Ride, clearance_m
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor
@@ -115,3 +115,17 @@ def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     ride.motion = replace(elsewhere, x_m=elsewhere.x_m + 40.0, yaw_rad=elsewhere.yaw_rad + 1.0)
     plans = [ride.step() for _ in range(8)]
     assert not plans[-1].mapped and "map" in plans[-1].note
+
+
+def test_a_lap_after_joining_the_path_stays_where_it_was() -> None:
+    ride = Ride(OVAL, laps=4)
+    ride.until_mapped()
+    before: list[tuple[float, float]] = []
+    jumps = []
+    for _ in range(round(1.3 * OVAL.length_m / STEP_M)):
+        pose = ride.pose
+        path = [pose.ahead(float(x), float(y)) for x, y in ride.step().path_m[:30]]
+        if before:
+            jumps.append(min(math.dist(before[12], point) for point in path))
+        before = path
+    assert max(jumps[30:]) < 0.15
