@@ -17,7 +17,7 @@ from fsai_vcu.cli.sources import (
     part_of,
     write_out,
 )
-from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-t",
         dest="times",
         choices=("a", "A", "d", "z"),
-        help="times: absolute, absolute with the date, delta to the line before, from zero",
+        help="times: absolute, absolute with the date, delta to the line before, from zero (the first frame, of a log)",
     )
     add("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
     add("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
@@ -52,7 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
     add("-L", dest="log_format", action="store_true", help="the format of candump's logs")
     add("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
-    add("--changes", action="store_true", help="only frames that differ from their message's last one")
+    add(
+        "--changes",
+        action="store_true",
+        help="only frames that differ from their message's last one, by more than HANDSHAKE",
+    )
     add("--signals", metavar="NAME,…", help="only frames with these signals, and only these; with * and ?")
     add("--short", action="store_true", help="signals that are not 0 alone: a line of 0x520 in 150 columns")
     add("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
@@ -82,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
         for frames in map(lines.chosen, sources.chunks()):
             if len(frames):
                 received_at = time.monotonic()
+                lines.zero_ns = None if sources.live else sources.first_ns
                 shown = frames if left is None else frames.head(left)
                 write_out(lines.block(shown))
                 if left is not None:
@@ -105,7 +110,7 @@ class _Lines:
         self._color = args.color or (sys.stdout.isatty() and not os.environ.get("NO_COLOR"))
         self._indented = False
         self._newest: dict[tuple[str, int, int], tuple[int, int | bytes]] = {}  # length and payload of each message
-        self._zero_ns: int | None = None
+        self.zero_ns: int | None = None  # -t z counts from here; None: from the first frame that is shown
         self._last_ns: int | None = None
 
     def chosen(self, frames: Frames) -> Frames:
@@ -117,8 +122,7 @@ class _Lines:
             frames = frames.only(np.isin(frames.can_id, shown))
         if not self._args.changes or not len(frames):
             return frames
-        layouts = self._decoding.databases.layouts if self._args.signals is not None else {}
-        masks = {key: layout.mask for key, layout in layouts.items()}
+        masks = {key: self._compared(layout) for key, layout in self._decoding.databases.layouts.items()}
         changed = []
         for row, word in enumerate(frames.word.tolist()):
             flags, can_id = int(frames.flags[row]), int(frames.can_id[row])
@@ -128,6 +132,12 @@ class _Lines:
             changed.append(self._newest.get(key) != said)
             self._newest[key] = said
         return frames.only(np.array(changed, np.bool_))
+
+    def _compared(self, layout: MessageLayout) -> int:
+        """The bits of a payload that tell a change: of the signals asked for, else all but HANDSHAKE's."""
+        if self._args.signals is not None:
+            return layout.mask
+        return ~sum(1 << signal.start for signal in layout.signals if signal.name == "HANDSHAKE")
 
     def block(self, frames: Frames) -> bytes | bytearray:
         if not len(frames):
@@ -172,11 +182,11 @@ class _Lines:
             return frames
         t_ns = frames.t_ns // 1000 * 1000  # differences of what is shown
         first = int(t_ns[0])
-        if self._zero_ns is None:
-            self._zero_ns = first
+        if self.zero_ns is None:
+            self.zero_ns = first
         before = first if self._last_ns is None else self._last_ns
         self._last_ns = int(t_ns[-1])
-        shown = np.diff(t_ns, prepend=before) if style == "d" else t_ns - self._zero_ns
+        shown = np.diff(t_ns, prepend=before) if style == "d" else t_ns - self.zero_ns // 1000 * 1000
         return frames.at(np.maximum(shown, 0))
 
     def _colors(self, frames: Frames) -> list[bytes]:

@@ -133,6 +133,21 @@ def test_changes_of_chosen_signals_are_shown_once(tmp_path: Path, capsys: pytest
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 
+def test_the_handshake_alone_is_no_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    words = ("00", "01", "00", "11", "10")  # 0x520: HANDSHAKE toggles; then OP_STATE changes once
+    log.write_text("".join(f"(1.{n}) can0 520#{word}00000000000000\n" for n, word in enumerate(words)))
+    assert len(shown(capsys, str(log), "--changes", "--no-signals")) == 2
+    assert len(shown(capsys, str(log), "--changes", "--signals", "HANDSHAKE", "--no-signals")) == 5
+
+
+def test_a_logs_times_count_from_its_first_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(1.000000) can0 510#0000000000000000\n(3.500000) can0 520#0000000000000000\n")
+    for part in ([str(log), "--from", "2"], [str(log), "--messages", "0x520"], [f"{log},520:7FF"]):
+        assert shown(capsys, *part, "-t", "z", "--no-signals")[0].startswith(" (002.500000)"), part
+
+
 def test_signals_are_those_of_the_logs_own_revision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "run.log"  # SM_SYS is only in 2021, and nothing before 0x120 tells the revision
     log.write_text("(1.000000) can0 513#0000\n(1.100000) can0 120#0000000000000000\n")
