@@ -74,6 +74,13 @@ def car_is_silent_for_300_ms(run: Run) -> None:
     wire.faults.remove(silence)
 
 
+def status_repeats_itself_for_400_ms(run: Run) -> None:
+    wire, repeats = run.lockstep.world.vcu.outgoing, Freeze(frozenset({0x520}))
+    wire.faults.append(repeats)
+    run.go_on(0.4)
+    wire.faults.remove(repeats)
+
+
 def remote_falls_silent(run: Run) -> None:
     car_drops(0x181)(run)
     run.go_on(0.3)
@@ -234,6 +241,7 @@ ENDS = [
     End("bus-off", driving, bus_off, "bus_lost"),
     End("the echo is frozen", driving, spoil(Freeze(frozenset({0x510}))), "handshake_lost", near_ns=EDGES),
     End("the VCU does not hear 0x514", driving, vcu_misses(0x514), "ai_unheard", near_ns=(0, 130 * MS)),
+    End("0x520 repeats itself", driving, status_repeats_itself_for_400_ms, "status_frozen", near_ns=EDGES),
     # ---- what the AI side supervises
     End("an intruder", driving, intrude, "intruder"),
     End("0x520 is missing", driving, car_drops(0x520), "vcu_silent", A, seconds=1.0),

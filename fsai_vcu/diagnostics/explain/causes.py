@@ -176,6 +176,11 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         "check the VCU's supply and connectors; if it happens again have its software looked at",
         "the VCU's own log",
     ),
+    "status_frozen": (
+        "0x520 repeated itself: what the car really did was not seen, and its HANDSHAKE could not be answered",
+        "have the VCU's software looked at; look for a gateway or a replay that repeats old frames",
+        "the VCU's own log",
+    ),
     "frames_wrong": (
         "0x520 showed a state that the car cannot have been in",
         "look for a second sender of 0x520 (a simulator, a replay); else have the VCU's software looked at",

@@ -27,11 +27,11 @@ from fsai_vcu.diagnostics.explain.incident import (
     ranked,
     shown,
 )
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Span, ms
+from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Span, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
-from fsai_vcu.interface.specification import READY_WAIT_NS, STANDING_RPM
+from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of state belongs to it
@@ -171,6 +171,13 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
         return [candidate("vcu_hung", sureness, ChainLink(silence.begin_ns, words, sig.STATUS))]
     if found := link_losses(record, t_ns, sureness):
         return found
+    stood = record.span_at(sig.HANDSHAKE, t_ns - 1)
+    # A VCU that hears nobody reports that after its patience: one that says nothing for longer was not heard itself.
+    if stood is not None and t_ns - stood.begin_ns >= COMMS_LOST_NS + DEAD_NS:
+        words = (
+            f"HANDSHAKE stands at {stood.value:g} for {ms(t_ns - stood.begin_ns)}, and no loss is reported meanwhile"
+        )
+        return [candidate("status_frozen", sureness, sig.HANDSHAKE.step(stood.begin_ns, words))]
     if record.ai_speaks:
         words = "0x510 to 0x514 and the echo are all in this log, in time"
         return [candidate("ai_unheard", sureness, ChainLink(t_ns, words, 0x510))]

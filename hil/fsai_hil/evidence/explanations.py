@@ -33,7 +33,15 @@ PLANNED: Final = "planned_end"  # the emergency brake with which some missions e
 NOTHING: Final = frozenset({""})
 SILENT_STOP: Final = frozenset({"", Reason.COMMAND_STALE.slug, "stop_asked"})  # what the bus cannot tell
 LINK: Final = frozenset(
-    {"ai_unheard", "ai_silent", "ai_message_missing", "ai_message_length", "handshake_lost", "vcu_hung"}
+    {
+        "ai_unheard",
+        "ai_silent",
+        "ai_message_missing",
+        "ai_message_length",
+        "handshake_lost",
+        "vcu_hung",
+        "status_frozen",
+    }
 )
 VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
     "Go off": frozenset({"go_off"}),
