@@ -16,7 +16,7 @@ from scipy.linalg import solveh_banded  # type: ignore[import-untyped]
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.planning.pose import lengths_along, to_vehicle
+from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled_ring, ring_curvature, to_vehicle
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 Bools = NDArray[np.bool_]
@@ -27,7 +27,9 @@ NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
 BESIDE_M, BEYOND_M = 4.0, 1.0  # of cones so near to each other, one that stands so much further out is no border
 NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
-ROUNDS, STEPS, STEPS_AT_ONCE = 4, 15, 5
+ROUNDS, STEPS = 4, 15
+SHARE = 4000  # points of the line times steps at once: about a millisecond
+STRETCH = 8  # points of the line
 SMOOTHING_M = 1.5  # of the way driven
 BODY_BEHIND_M = 0.65  # of the rear axle
 
@@ -75,7 +77,7 @@ class LineSearch:
     """Works out the line through the lane that was driven along `lap_xy_m` (closed), between these cones."""
 
     def __init__(self, lap_xy_m: Floats, cones_xy_m: Floats, car: VehicleParameters, step_m: float) -> None:
-        self._line = _smoothed(_resampled(lap_xy_m, step_m), step_m)
+        self._line = _smoothed(resampled_ring(lap_xy_m, step_m), step_m)
         self._cones, self._car, self._step_m = cones_xy_m, car, step_m
         self._rounds = self._steps = 0
         self._problem: _Problem | None = None
@@ -88,22 +90,23 @@ class LineSearch:
             left, right = _bounds(self._line, cos, sin, self._cones, self._car)
             self._problem = _Problem(self._line, cos, sin, right, left)
             return None
-        for _ in range(STEPS_AT_ONCE):
+        steps = min(max(1, SHARE // len(self._line)), STEPS - self._steps)
+        for _ in range(steps):
             problem.improve()
-        self._steps += STEPS_AT_ONCE
+        self._steps += steps
         if self._steps < STEPS:
             return None
         line, left, right = problem.moved()
         self._rounds, self._steps, self._problem = self._rounds + 1, 0, None
         if self._rounds < ROUNDS:
-            self._line = _resampled(line, self._step_m)
+            self._line = resampled_ring(line, self._step_m)
             return None
         return RaceLine(line, *_directions(line), left, right, self._step_m, self._cones)
 
 
 def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:
     """Whether the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
-    cos, sin = _directions(path_m, closed=False)
+    cos, sin = headings_along(path_m)
     dx = cones_xy_m[:, None, 0] - path_m[:, 0]
     dy = cones_xy_m[:, None, 1] - path_m[:, 1]
     ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
@@ -172,16 +175,12 @@ def _bounds(
     line: Floats, cos: Floats, sin: Floats, cones_xy_m: Floats, car: VehicleParameters
 ) -> tuple[Floats, Floats]:
     """(N,) how far to the left (positive) and to the right (negative) of each point the rear axle may be."""
-    dx = cones_xy_m[:, None, 0] - line[:, 0]
-    dy = cones_xy_m[:, None, 1] - line[:, 1]
-    gap = dx * dx + dy * dy
-    # A cone may stand beside several stretches of the line: it is beside each point nearer than its neighbours.
-    nearer = np.roll(gap, 1, axis=1) < gap  # is the point before
-    cone, at = np.nonzero((gap < REACH_M**2) & ~nearer & np.roll(nearer, -1, axis=1))
-    lateral = dy[cone, at] * cos[at] - dx[cone, at] * sin[at]
     stations = np.arange(len(line), dtype=np.float64) * (_length(line) / len(line))
+    cone, at = _beside(line, float(stations[1]), cones_xy_m)
+    dx, dy = (cones_xy_m[cone] - line[at]).T
+    lateral = dy * cos[at] - dx * sin[at]
     half = 0.5 * car.width_m + CONE_RADIUS_M + MARGIN_M
-    curvature = _curvature(line, cos, sin)
+    curvature = ring_curvature(line)
     bounds = []
     for side in (1.0, -1.0):
         mine = side * lateral > 0.0
@@ -197,6 +196,24 @@ def _bounds(
     return np.where(narrow, middle + NARROW_M, left), np.where(narrow, middle - NARROW_M, right)
 
 
+def _beside(line: Floats, step_m: float, cones_xy_m: Floats) -> tuple[Ints, Ints]:
+    """Pairs of a cone within reach and a point of the line that it is beside: one nearer than its neighbours.
+
+    A cone may stand beside several stretches. Only stretches in whose middle it is near are looked at point by point.
+    """
+    middles = line.take(np.arange(STRETCH // 2, len(line) + STRETCH // 2, STRETCH), axis=0, mode="wrap")
+    near_m = REACH_M + step_m * STRETCH
+    cone, stretch = np.nonzero(np.hypot(*(cones_xy_m[:, None] - middles).transpose(2, 0, 1)) < near_m)
+    at = STRETCH * stretch[:, None] + np.arange(-1, STRETCH + 1)
+    away = cones_xy_m[cone, None] - line.take(at, axis=0, mode="wrap")
+    gap = away[..., 0] ** 2 + away[..., 1] ** 2
+    here = gap[:, 1:-1]
+    pair, place = np.nonzero((here < REACH_M**2) & (here <= gap[:, :-2]) & (here < gap[:, 2:]))
+    at = at[pair, place + 1]
+    whole = at < len(line)  # the last stretch may go on into the first
+    return cone[pair[whole]], at[whole]
+
+
 def _border(stations: Floats, at_m: Floats, lateral_m: Floats, length_m: float) -> Floats:
     """(N,) how far off a border is at each station of the ring, between its cones (at these stations, so far off)."""
     if not len(at_m):
@@ -207,30 +224,15 @@ def _border(stations: Floats, at_m: Floats, lateral_m: Floats, length_m: float) 
     return np.asarray(np.interp(stations, at_m[own], lateral_m[own], period=length_m))
 
 
-def _directions(line: Floats, closed: bool = True) -> tuple[Floats, Floats]:
-    """(N,) cosine and sine of a line's direction at each of its points."""
-    along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
-    if not closed:
-        along[0], along[-1] = line[1] - line[0], line[-1] - line[-2]
+def _directions(ring: Floats) -> tuple[Floats, Floats]:
+    """(N,) cosine and sine of a closed line's direction at each of its points."""
+    along = np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0)
     along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     return along[:, 0], along[:, 1]
 
 
-def _curvature(line: Floats, cos: Floats, sin: Floats) -> Floats:
-    turn = np.angle((np.roll(cos, -1) + 1j * np.roll(sin, -1)) * (np.roll(cos, 1) - 1j * np.roll(sin, 1)))
-    return np.asarray(turn / (2.0 * _length(line) / len(line)))
-
-
 def _length(line: Floats) -> float:
     return float(lengths_along(np.concatenate((line, line[:1])))[-1])
-
-
-def _resampled(line: Floats, step_m: float) -> Floats:
-    """The closed line with points about every `step_m`, evenly."""
-    ring = np.concatenate((line, line[:1]))
-    along = lengths_along(ring)
-    at = np.linspace(0.0, along[-1], max(20, round(along[-1] / step_m)), endpoint=False)
-    return np.column_stack((np.interp(at, along, ring[:, 0]), np.interp(at, along, ring[:, 1])))
 
 
 def _smoothed(line: Floats, step_m: float) -> Floats:
