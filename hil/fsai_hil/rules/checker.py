@@ -18,7 +18,7 @@ from typing import Any, Final
 from cantools.database.errors import EncodeError
 
 from fsai_hil.rules import numbers as n
-from fsai_hil.rules.bus_view import OFF, RESTART_GAP_NS, BusView
+from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS, BusView
 from fsai_hil.rules.frame_rules import CHECKS, RULES
 from fsai_hil.rules.numbers import MS, S
 from fsai_hil.rules.seen import Violation
@@ -118,7 +118,10 @@ class WireChecker(BusView):
         if frame.extended or frame.remote or frame.can_id not in self._known_ids:
             self._strange(frame)
             return None
-        return self.on_decoded(frame.can_id, self.codec.decode(frame), frame.t_ns)
+        decoded = self.codec.decode(frame)
+        if frame.can_id in HEEDED_IDS or decoded.problems:
+            return self.on_decoded(frame.can_id, decoded, frame.t_ns)
+        return decoded.image
 
     def on_decoded(self, can_id: int, decoded: Decoded, t_ns: int) -> Image | None:
         """The same, decoded already."""

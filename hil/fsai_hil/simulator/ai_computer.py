@@ -11,7 +11,7 @@ to them here as well, with the effect it has there.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -71,16 +71,15 @@ class OnboardComputer:
     def _send(self, frame: Frame) -> bool:
         if self.takes_frame is not None and not self.takes_frame(frame):
             return False
-        self._out.append(Frame(frame.can_id, frame.data, self._now_ns))
+        self._out.append(frame)
         return True
 
-    def on_frame(self, frame: Frame) -> None:
-        """A frame from the car, at `frame.t_ns`."""
+    def on_frames(self, frames: Sequence[Frame]) -> None:
+        """Frames from the car, oldest first, at the `t_ns` of each."""
         if self._hung_until_ns is not None:
-            if len(self._unread) < RECEIVE_BUFFER_FRAMES:
-                self._unread.append(frame)
+            self._unread += frames[: RECEIVE_BUFFER_FRAMES - len(self._unread)]
         elif self.bridge_running and self._bus_up:
-            self._confined("bridge", self._engine.on_frame, frame)
+            self._confined("bridge", self._engine.on_frames, frames, frames[-1].t_ns)
 
     def on_cones(self, observation: ConeObservation) -> None:
         """Cones that a detector reports; the planner gets them after the perception's delay."""
