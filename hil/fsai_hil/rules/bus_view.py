@@ -233,6 +233,8 @@ class BusView:
         if not in_flight_ns:
             return
         values = self._late.setdefault(name, deque())
+        if values and values[-1][1] == value:
+            return  # for as long as it stays, it is one that may have been seen
         values.append((t_ns, value))
         while len(values) > 1 and t_ns - values[1][0] >= in_flight_ns:
             values.popleft()

@@ -33,6 +33,7 @@ from fsai_vcu.interface.reserved import AI_IDS
 __all__ = ["MS", "RULES", "WireChecker", "check_candump", "checker_for", "read_candump"]
 
 STATUS_ID: Final = 0x520
+AXLES: Final = (AiDriveFront, AiDriveRear)
 _DIGITS: Final = re.compile(r"[\d.,]+")
 
 
@@ -95,7 +96,7 @@ class WireChecker(BusView):
         """Hold a frame against its rules: what turns wrong is reported once, not for as long as it stays."""
         wrong: set[str] = set()
         before = self._broken.get(frame, ())
-        for rule, check in CHECKS[kind]:
+        for rule, check in CHECKS[self.process is not None][kind]:
             for words in check(self, image):
                 key = rule + _DIGITS.sub("", words)
                 if key not in wrong and key not in before:
@@ -169,7 +170,7 @@ class WireChecker(BusView):
             self.was_off = bool(self.states) and self.states[-1] in OFF
             return
         cycle.ids.append(can_id)
-        if isinstance(image, AiDriveFront | AiDriveRear):
+        if isinstance(image, AXLES):
             front = isinstance(image, AiDriveFront)
             s.torque_nm = (image.torque_nm, s.torque_nm[1]) if front else (s.torque_nm[0], image.torque_nm)
             cycle.motor_rpm = max(cycle.motor_rpm, image.motor_speed_max_rpm)
