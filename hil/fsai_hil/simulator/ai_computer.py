@@ -100,7 +100,8 @@ class OnboardComputer:
             self._edge_hung_until_ns = None
             if self._hung_until_ns is None and self.bridge_running:
                 self._read_slot(now_ns)
-        self._confined("bridge", self._turn, now_ns)
+        if now_ns >= self._engine.due_ns() or not self._undisturbed:
+            self._confined("bridge", self._turn, now_ns)
         return self._out
 
     def report(self) -> BridgeReport:
@@ -188,6 +189,11 @@ class OnboardComputer:
     def _keep_report(self) -> None:
         if not self._hangs:
             self._last_report = self.report()
+
+    @property
+    def _undisturbed(self) -> bool:
+        """The loop has nothing else to do than to send what is due."""
+        return self._hung_until_ns is None and self._reopen_ns is None and self.edge_running
 
     @property
     def _hangs(self) -> bool:

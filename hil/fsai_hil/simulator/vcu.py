@@ -12,6 +12,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter, itemgetter
 from types import MappingProxyType
@@ -378,7 +379,7 @@ class SimulatedVcu:
         shown = self._latched | {fault.name for fault in CAR_FAULTS if fault.when(self.switches)}
         if self.comms_lost:
             shown |= {AI_COMMS_LOST.name}
-        return Faults(**{name: name in shown for name in FAULT_NAMES})
+        return _shown(frozenset(shown))
 
     @property
     def system_state(self) -> SystemState:
@@ -681,6 +682,11 @@ _seen_of: Final = attrgetter(*SEEN_OF_THE_SWITCHES)
 LOG_BRAKE_DISENGAGED: Final = 1
 LOG_BRAKE_ENGAGED: Final = 2
 LOG_BRAKE_AVAILABLE: Final = 3
+
+
+@lru_cache
+def _shown(faults: frozenset[str]) -> Faults:
+    return Faults(**{name: name in faults for name in FAULT_NAMES})
 
 
 def _torque_pct(torques: CarFeedback | Actuation) -> int:
