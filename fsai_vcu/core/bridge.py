@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 from fsai_vcu.core.bridge_state import BridgeState
 from fsai_vcu.core.command import VehicleCommand
@@ -60,6 +60,8 @@ __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "BridgeState", "official_si
 
 
 _AGES = ("status", "drive_front", "drive_rear", "steer", "brake", "speeds", "counts", "log_dynamics", "log_status")
+
+_NOT_ONLY_DECODED = REVISION_IDS.union(AI_IDS)
 
 # In static inspections the wheels are in the air, each for itself.
 _WHEELS_IN_THE_AIR = frozenset((Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B))
@@ -122,38 +124,38 @@ class Bridge:
         """A frame received at `frame.t_ns`. The process's own frames never come here."""
         if frame.error:
             return
-        tally = self.tally
+        tally, can_id = self.tally, frame.can_id
         if not frame.extended:
-            tally.rx[frame.can_id] += 1
-            if frame.can_id in AI_IDS:
-                self._on_intruder(frame)
-                return
-            if frame.can_id in REVISION_IDS:
+            tally.rx[can_id] += 1
+            if can_id in _NOT_ONLY_DECODED:
+                if can_id in AI_IDS:
+                    self._on_intruder(frame)
+                    return
                 self._on_revision(frame)
-        decoded = self._codec.decode(frame)
-        for problem in decoded.problems:
+        image, problems, handshake = self._codec.decode(frame)
+        for problem in problems:
             tally.problem(problem)
-        if decoded.handshake is not None:
-            self._vehicle_news["handshake"] = decoded.handshake
+        if handshake is not None:
+            self._vehicle_news["handshake"] = handshake
             if tally.unanswered_ns is None:
                 tally.unanswered_ns = frame.t_ns
-        image = decoded.image
-        if frame.can_id == STATUS_ID and not frame.extended and not frame.remote and not isinstance(image, VcuStatus):
-            self._on_doubted_status("; ".join(decoded.problems) or "it cannot be decoded", frame.t_ns)
         if image is None:
+            if can_id == STATUS_ID and not frame.extended and not frame.remote:
+                self._on_doubted_status("; ".join(problems) or "it cannot be decoded", frame.t_ns)
             return
-        if type(image) is VcuStatus:
-            self._on_status(image)
-        elif type(image) is WheelSpeeds:
-            if not self._on_speeds(image):
-                return
-        elif type(image) is WheelCounts:
-            self._on_counts(image)
-        field = VEHICLE_FIELD_OF.get(type(image))
+        kind = type(image)
+        field = GPS_FIELD_OF.get(kind)
         if field is not None:
-            self._vehicle_news[field] = image
-        else:
-            self._gps_news[GPS_FIELD_OF[type(image)]] = image
+            self._gps_news[field] = image
+            return
+        if kind is VcuStatus:
+            self._on_status(cast(VcuStatus, image))
+        elif kind is WheelSpeeds:
+            if not self._on_speeds(cast(WheelSpeeds, image)):
+                return
+        elif kind is WheelCounts:
+            self._on_counts(cast(WheelCounts, image))
+        self._vehicle_news[VEHICLE_FIELD_OF[kind]] = image
 
     def _on_speeds(self, speeds: WheelSpeeds) -> bool:
         """Whether a frame of 0x525 counts: one that is not believed is treated like one that never came."""

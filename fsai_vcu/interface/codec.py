@@ -79,7 +79,7 @@ class Codec:
         self.revision = revision
         self.mapping = mapping
         self.database: Database = load_database(paths)
-        self._decoders: dict[int, tuple[int, Callable[[bytes, int], Decoded]]] = {}
+        self._decoders: dict[int, Callable[[Frame], Decoded]] = {}
         self._encoders: dict[type, Callable[[Any, int], Frame]] = {}
         self._layouts: dict[type, _Layout] = {}
         lacking: list[_Lack] = []
@@ -96,9 +96,8 @@ class Codec:
             layout = _Layout(kind, message, mapping, paths)
             lacking += layout.lacking
             self._layouts[kind] = layout
-            self._decoders[message.frame_id] = (message.length, layout.decoder())
+            self._decoders[message.frame_id] = layout.decoder()
             self._encoders[kind] = layout.encoder(None)
-        self._latest: tuple[Frame, Decoded] = (Frame(0, error=True), _NOTHING)
         self._command_encoders = tuple(self._layouts[kind].encoder(names) for kind, names in COMMAND_FIELDS.items())
         self._lacking = tuple(lacking)
         self.unknown = "" if dbc_paths is None else _lacking_line(paths, self._lacking, _lacking_by_nature(revision))
@@ -142,26 +141,13 @@ class Codec:
 
     def decode(self, frame: Frame) -> Decoded:
         """What `frame` says. Never raises: what cannot be believed is in `problems`."""
-        latest = self._latest
-        if frame is latest[0]:
-            return latest[1]  # another receiver of the same frame asks next: a checker beside a bridge
-        decoded = self._decode(frame)
-        self._latest = (frame, decoded)
-        return decoded
-
-    def _decode(self, frame: Frame) -> Decoded:
         if frame.error:
             return _NOTHING
         if frame.remote or frame.extended:
             kind = "remote" if frame.remote else "extended"
             return Decoded(None, (f"{kind} frame 0x{frame.can_id:03X}: the car's bus has none",))
-        known = self._decoders.get(frame.can_id)
-        if known is None:
-            return _NOTHING
-        length, decode = known
-        if len(frame.data) != length:
-            return Decoded(None, (f"0x{frame.can_id:03X}: {len(frame.data)} bytes where {length} belong",))
-        return decode(frame.data, frame.t_ns)
+        decode = self._decoders.get(frame.can_id)
+        return _NOTHING if decode is None else decode(frame)
 
 
 def command_of(images: Mapping[type, AiImage]) -> AiCommand:
@@ -277,6 +263,7 @@ class _Slot:
 _FEW_BITS: Final = 4
 _COMBINATIONS: Final = 1024
 _FLOAT: Final = struct.Struct("<f")
+_RAW_FLOAT: Final = struct.Struct("<I")
 
 
 class _Layout:
@@ -318,8 +305,11 @@ class _Layout:
 
     # -------------------------------------------------------- the careful way
 
-    def careful_decode(self, data: bytes, t_ns: int) -> Decoded:
+    def careful_decode(self, frame: Frame) -> Decoded:
         """Decode field by field and say what is wrong."""
+        data, length = frame.data, self.message.length
+        if len(data) != length:
+            return Decoded(None, (f"0x{frame.can_id:03X}: {len(data)} bytes where {length} belong",))
         try:
             raws = cast(
                 "dict[str, Any]",
@@ -343,7 +333,7 @@ class _Layout:
             else:
                 values[name] = value
         handshake = values["handshake"] if self.kind is VcuStatus else None
-        image = self.kind(**self.in_groups(values), t_rx_ns=t_ns) if believed else None
+        image = self.kind(**self.in_groups(values), t_rx_ns=frame.t_ns) if believed else None
         return Decoded(image, tuple(problems), handshake)
 
     def careful_encode(self, source: Any, names: Mapping[str, str] | None, t_ns: int) -> Frame:
@@ -360,8 +350,8 @@ class _Layout:
 
     # -------------------------------------------------------- the quick way
 
-    def decoder(self) -> Callable[[bytes, int], Decoded]:
-        """A function of a frame's data (of the right length) and time."""
+    def decoder(self) -> Callable[[Frame], Decoded]:
+        """A function of a data frame on the message's identifier."""
         if not self.simple:
             return self.careful_decode
         narrow = {name: slot for name, slot in self.slots.items() if _is_narrow(slot)}
@@ -377,7 +367,7 @@ class _Layout:
         divisors = tuple(_divisor(self.slots[name]) for name in wide)
         divided = None not in divisors and not as_read
         any_float = any(slot.is_float for slot in self.slots.values())
-        kind, careful, is_status = self.kind, self.careful_decode, self.kind is VcuStatus
+        kind, careful, is_status, length = self.kind, self.careful_decode, self.kind is VcuStatus, self.message.length
 
         @lru_cache(maxsize=_COMBINATIONS)
         def read_narrow(word: int) -> tuple[Any, ...]:
@@ -390,17 +380,24 @@ class _Layout:
             return tuple(grouped[name] for name in others)
 
         latest: tuple[bytes | None, tuple[Any, ...]] = (None, ())  # most payloads of a bus repeat the one before
+        answered: tuple[Frame | None, Decoded] = (None, _NOTHING)  # a frame has several receivers: bridge and checker
 
-        def decode(data: bytes, t_ns: int) -> Decoded:
-            nonlocal latest
+        def decode(frame: Frame) -> Decoded:
+            nonlocal latest, answered
+            asked, decoded = answered
+            if frame is asked:
+                return decoded
             known, values = latest
+            data = frame.data
             if data != known:
-                read = read_all(data)
+                read = read_all(data) if len(data) == length else None
                 if read is None:
-                    return careful(data, t_ns)
+                    return careful(frame)
                 latest, values = (data, read), read
-            image: Any = kind(*values, t_ns)
-            return _new(Decoded, (image, (), image.handshake if is_status else None))
+            image: Any = kind(*values, frame.t_ns)
+            decoded = _new(Decoded, (image, (), image.handshake if is_status else None))
+            answered = frame, decoded
+            return decoded
 
         def read_all(data: bytes) -> tuple[Any, ...] | None:
             """The values of the class's fields; None where something is wrong."""
@@ -430,20 +427,23 @@ class _Layout:
 
         if not self.simple or not self.slots:
             return careful
+        known: dict[str, Any] = {"careful": careful, "Frame": Frame, "can_id": self.message.frame_id}
+        written = [_written(slot, number, known) for number, slot in enumerate(self.slots.values())]
+        ranged = [number for number in range(len(written)) if f"low{number}" in known]
+        ranges = " and ".join(f"low{number} <= v{number} <= high{number}" for number in ranged)
         attributes = [name if names is None else names[name] for name in self.slots]
-        # Of one name alone it would not make a tuple.
-        values_of = attrgetter(*attributes) if len(attributes) > 1 else attrgetter(*attributes, *attributes)
-        writers = tuple(_writer(slot) for slot in self.slots.values())
-        can_id, length = self.message.frame_id, self.message.length
-
-        def encode(source: Any, t_ns: int) -> Frame:
-            try:
-                data = sum(map(call, writers, values_of(source))).to_bytes(length, "little")
-            except (KeyError, ValueError, TypeError, AttributeError, OverflowError):
-                return careful(source, t_ns)
-            return Frame(can_id, data, t_ns)
-
-        return encode
+        lines = [
+            "def encode(source, t_ns):",
+            " try:",
+            *(f"  v{number} = source.{attribute}" for number, attribute in enumerate(attributes)),
+            f"  if {ranges or True}:",
+            f"   return Frame(can_id, ({' + '.join(written)}).to_bytes({self.message.length}, 'little'), t_ns)",
+            " except (KeyError, ValueError, TypeError, AttributeError, OverflowError):",
+            "  pass",
+            " return careful(source, t_ns)",
+        ]
+        exec(compile("\n".join(lines), f"<encoder of {self.message.name}>", "exec"), known)
+        return cast("Callable[[Any, int], Frame]", known["encode"])
 
 
 def _is_narrow(slot: _Slot) -> bool:
@@ -474,46 +474,36 @@ def _divisor(slot: _Slot) -> int | None:
     return None if slot.field.holds is int or slot.signal.offset else slot.per_unit
 
 
-def _writer(slot: _Slot) -> Callable[[Any], int]:
-    """The field's bits, in their place; any of several exceptions where it is not plainly in order."""
-    start, mask = slot.start, slot.mask
-    if slot.field.holds not in (int, float):
-        members: Any = (0, 1) if slot.field.holds is bool else slot.field.holds
-        bits: dict[int | None, int] = {m: int(m) << start for m in members if slot.low <= m <= slot.high}
+def _written(slot: _Slot, number: int, known: dict[str, Any]) -> str:
+    """An expression of the field's bits, in their place, of its value `v<number>`; any of several exceptions where it
+    is not plainly in order. `known` is given the names in it, and `low…` and `high…` where a range is to be checked.
+    """
+    start, mask, value, holds = slot.start, slot.mask, f"v{number}", slot.field.holds
+    unscaled = slot.scale == 1 and not slot.offset
+    bits: dict[int | None, int] | None = None
+    if holds not in (int, float):
+        members: Any = (0, 1) if holds is bool else holds
+        bits = {m: int(m) << start for m in members if slot.low <= m <= slot.high}
         if slot.field.nullable:
             bits[None] = 0
-        return bits.__getitem__
-    low, high = slot.low - slot.margin, slot.high + slot.margin
-    per_unit, unscaled = slot.per_unit, slot.scale == 1 and not slot.offset
-    if slot.field.holds is int and unscaled and slot.signal.length <= 8:
+    elif holds is int and unscaled and slot.signal.length <= 8:
         # A number between two whole ones is left to the careful way.
-        return {raw: (raw & mask) << start for raw in range(math.ceil(slot.low), math.floor(slot.high) + 1)}.__getitem__
-
-    def write_whole(value: int) -> int:
-        if low <= value <= high:
-            return (value & mask) << start
-        raise ValueError(value)
-
-    def write_steps(value: float) -> int:
-        if low <= value <= high:
-            return (round(value * per_unit) & mask) << start  # type: ignore[operator]
-        raise ValueError(value)
-
-    def write_scaled(value: float) -> int:
-        if low <= value <= high:
-            return (round(slot.steps(value)) & mask) << start
-        raise ValueError(value)
-
-    def write_float(value: float) -> int:
-        if low <= value <= high:
-            return int.from_bytes(_FLOAT.pack(value if unscaled else slot.steps(value)), "little") << start
-        raise ValueError(value)
-
+        bits = {raw: (raw & mask) << start for raw in range(math.ceil(slot.low), math.floor(slot.high) + 1)}
+    if bits is not None:
+        known[f"bits{number}"] = bits
+        return f"bits{number}[{value}]"
+    known[f"low{number}"], known[f"high{number}"] = slot.low - slot.margin, slot.high + slot.margin
+    if slot.offset:
+        known[f"steps{number}"] = slot.steps
+        value = f"steps{number}({value})"
+    elif not unscaled:
+        value = f"{value} / {slot.scale!r}" if slot.per_unit is None else f"{value} * {slot.per_unit}"
     if slot.is_float:
-        return write_float
-    if slot.offset or per_unit is None:
-        return write_scaled
-    return write_whole if unscaled and slot.field.holds is int else write_steps
+        known["pack"], known["unpack"] = _FLOAT.pack, _RAW_FLOAT.unpack
+        return f"(unpack(pack({value}))[0] << {start})"
+    if holds is float or not unscaled:
+        value = f"round({value})"
+    return f"(({value} & {mask}) << {start})"
 
 
 # ---------------------------------------------------------------- one field, the careful way

@@ -45,16 +45,17 @@ class Engine:
 
         `t_ns` of each is when the kernel received it: what has waited is as old as it is, and a backlog is named.
         """
+        receive = self._bridge.on_frame
         for frame in frames:
-            self.on_frame(frame)
+            receive(frame)
+            if frame.can_id == STATUS_ID and not (frame.error or frame.extended or frame.remote):
+                self._pacing.on_status(frame.t_ns)
         if frames:
             self._bridge.backlog(now_ns - frames[0].t_ns, now_ns)
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of somebody else's, received at `frame.t_ns`."""
-        self._bridge.on_frame(frame)
-        if frame.can_id == STATUS_ID and not (frame.error or frame.extended or frame.remote):
-            self._pacing.on_status(frame.t_ns)
+        self.on_frames((frame,), frame.t_ns)
 
     def due_ns(self) -> int:
         """When `poll` next has something to do, as things stand."""
@@ -73,7 +74,7 @@ class Engine:
         if command is None:
             self._whole_ns = None
         else:
-            status, *others = self._codec.encode_command(command)
+            status, *others = self._codec.encode_command(command, now_ns)
             complete = self._send(status)
             if self._clock is not None:
                 # The next cycle keeps its distance from the frame, not from the wish to send it.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from fsai_hil.simulator.car import CarTruth, Pose
-from fsai_hil.simulator.judge import Judge, JudgeVerdict
+from fsai_hil.simulator.judge import Judge, JudgeVerdict, _Surroundings
 from fsai_hil.simulator.tracks import Track, acceleration_track, load_track, skidpad_track, small_oval
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -394,3 +395,26 @@ def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, sec
 def test_the_demonstration_fails_where_it_falls_short(changes: dict[str, float], words: str) -> None:
     verdict = demo(**changes)
     assert verdict.passed is (not words) and words in why(verdict)
+
+
+def test_cones_hit_are_found_however_the_car_moves() -> None:
+    """A look that trusts an earlier one finds what a look at every cone finds."""
+    track = small_oval()
+    line = track.centreline_m
+    assert line is not None
+    draw = np.random.default_rng(1)
+    careful, missed = _Surroundings(track, CAR), 0
+    found: set[int] = set()
+    for (x_m, y_m), (next_x_m, next_y_m) in pairwise(line.tolist()):
+        way_rad = math.atan2(next_y_m - y_m, next_x_m - x_m)
+        for share in (0.0, 0.4, 0.8):
+            aside_m, turned_rad = draw.normal(0.0, 0.5), draw.normal(0.0, 0.2)
+            at = Pose(x_m + share * (next_x_m - x_m), y_m + share * (next_y_m - y_m), way_rad)
+            pose = Pose(*at.ahead(0.0, aside_m), way_rad + turned_rad)
+            careful.look(pose, 0.0)
+            anew = _Surroundings(track, CAR)
+            anew.look(pose, 0.0)
+            missed += len(anew.hit - careful.hit)
+            found |= anew.hit
+    assert len(found) > 10
+    assert missed == 0

@@ -338,10 +338,9 @@ def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bo
 def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -> SupervisorState:
     """A believed 0x520. Follows the AS states, the AMI and the runs; clears what the car's own life clears."""
     t_ns = status.t_rx_ns
-    state = received(config, state, t_ns)
     now, before = status.as_state, state.as_state
     off = now in OFF_LIKE
-    power_cycle = state.was_silent
+    power_cycle = _was_silent(config, state, t_ns)
     anew = power_cycle or now is not before
 
     # A power cycle breaks the sequence even if the state is the same before and after.
@@ -367,6 +366,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
         go=status.go_signal,
         fault=status.fault,
         status_ns=t_ns,
+        received_ns=t_ns,
         was_silent=False,
         sequence=sequence,
         ready_since_ns=ready_since_ns,

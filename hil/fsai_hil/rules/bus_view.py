@@ -19,6 +19,7 @@ from fsai_hil.rules.wheels import Belief, Wheels
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.codec import Codec, Decoded
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import (
@@ -38,7 +39,9 @@ ROLES: Final = frozenset(("planner", "controller"))
 OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
 _OFF_SEEN, _READY_SEEN, WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
-LOOKED_AT: Final = frozenset((VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts))
+_LOOKED_AT: Final = VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts
+HEEDED_IDS: Final = frozenset((*AI_IDS, *(BY_NAME[kind.dbc_name].can_id for kind in _LOOKED_AT)))
+"""Of the rest, most of a bus, no rule asks for anything."""
 RESTART_GAP_NS: Final = 150 * MS  # a process that starts listens for 200 ms before its first frame
 BRAKE_STEP_PCT: Final = 0.5  # interface specification v4.0: the signal's resolution
 Saved = tuple[tuple[object, ...], tuple[int, ...]]
@@ -202,8 +205,6 @@ class BusView:
 
     def on_car(self, image: Image | None, t_ns: int) -> None:
         """A frame of the car that can be believed, which carries `image`."""
-        if type(image) not in LOOKED_AT:
-            return  # most of the bus: no rule asks for it
         s = self.seen
         if isinstance(image, VcuStatus):
             self._on_status(image, t_ns)
@@ -232,6 +233,8 @@ class BusView:
         if not in_flight_ns:
             return
         values = self._late.setdefault(name, deque())
+        if values and values[-1][1] == value:
+            return  # for as long as it stays, it is one that may have been seen
         values.append((t_ns, value))
         while len(values) > 1 and t_ns - values[1][0] >= in_flight_ns:
             values.popleft()

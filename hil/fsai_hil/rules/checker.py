@@ -18,7 +18,7 @@ from typing import Any, Final
 from cantools.database.errors import EncodeError
 
 from fsai_hil.rules import numbers as n
-from fsai_hil.rules.bus_view import OFF, RESTART_GAP_NS, BusView
+from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS, BusView
 from fsai_hil.rules.frame_rules import CHECKS, RULES
 from fsai_hil.rules.numbers import MS, S
 from fsai_hil.rules.seen import Violation
@@ -33,6 +33,7 @@ from fsai_vcu.interface.reserved import AI_IDS
 __all__ = ["MS", "RULES", "WireChecker", "check_candump", "checker_for", "read_candump"]
 
 STATUS_ID: Final = 0x520
+AXLES: Final = (AiDriveFront, AiDriveRear)
 _DIGITS: Final = re.compile(r"[\d.,]+")
 
 
@@ -95,7 +96,7 @@ class WireChecker(BusView):
         """Hold a frame against its rules: what turns wrong is reported once, not for as long as it stays."""
         wrong: set[str] = set()
         before = self._broken.get(frame, ())
-        for rule, check in CHECKS[kind]:
+        for rule, check in CHECKS[self.process is not None][kind]:
             for words in check(self, image):
                 key = rule + _DIGITS.sub("", words)
                 if key not in wrong and key not in before:
@@ -118,7 +119,10 @@ class WireChecker(BusView):
         if frame.extended or frame.remote or frame.can_id not in self._known_ids:
             self._strange(frame)
             return None
-        return self.on_decoded(frame.can_id, self.codec.decode(frame), frame.t_ns)
+        decoded = self.codec.decode(frame)
+        if frame.can_id in HEEDED_IDS or decoded.problems:
+            return self.on_decoded(frame.can_id, decoded, frame.t_ns)
+        return decoded.image
 
     def on_decoded(self, can_id: int, decoded: Decoded, t_ns: int) -> Image | None:
         """The same, decoded already."""
@@ -166,7 +170,7 @@ class WireChecker(BusView):
             self.was_off = bool(self.states) and self.states[-1] in OFF
             return
         cycle.ids.append(can_id)
-        if isinstance(image, AiDriveFront | AiDriveRear):
+        if isinstance(image, AXLES):
             front = isinstance(image, AiDriveFront)
             s.torque_nm = (image.torque_nm, s.torque_nm[1]) if front else (s.torque_nm[0], image.torque_nm)
             cycle.motor_rpm = max(cycle.motor_rpm, image.motor_speed_max_rpm)

@@ -42,20 +42,23 @@ TINY: Final = 1e-6  # of a float
 
 Axle = AiDriveFront | AiDriveRear
 Check = Callable[[BusView, Any], Iterator[str]]
-CHECKS: Final[dict[str, list[tuple[str, Check]]]] = {
-    kind: [] for kind in ("0x510", "drive", "torque", "0x513", "0x514")
+CHECKS: Final[dict[bool, dict[str, list[tuple[str, Check]]]]] = {
+    process: {kind: [] for kind in ("0x510", "drive", "torque", "0x513", "0x514")} for process in (False, True)
 }
+"""By whether it is known what the process is given."""
 
 
-def rule(name: str, *kinds: str) -> Callable[[Check], Check]:
+def rule(name: str, *kinds: str, of_process: bool = False) -> Callable[[Check], Check]:
     """The function holds rule `name` against each frame of these kinds; what it yields is wrong.
 
-    "drive" is 0x511 and 0x512, "torque" those of them that ask for some.
+    "drive" is 0x511 and 0x512, "torque" those of them that ask for some. `of_process`: it can be checked only where it
+    is known what the process is given.
     """
 
     def registered(check: Check) -> Check:
-        for kind in kinds:
-            CHECKS[kind].append((name, check))
+        for process in (True,) if of_process else (False, True):
+            for kind in kinds:
+                CHECKS[process][kind].append((name, check))
         return check
 
     return registered
@@ -71,7 +74,7 @@ def _apart(v: BusView, ai: AiStatus) -> Iterator[str]:
         yield f"two cycles only {v.interval_ns / MS:.2f} ms apart"
 
 
-@rule("8", "0x510")
+@rule("8", "0x510", of_process=True)
 def _ends(v: BusView, ai: AiStatus) -> Iterator[str]:
     """On stop: five cycles, then silence."""
     ended, process = v.seen.ended, v.process
@@ -157,7 +160,7 @@ def _says(v: BusView, ai: AiStatus) -> Iterator[str]:
         yield f"direction {direction.label} in {state.label}"
 
 
-@rule("output table", "0x510")
+@rule("output table", "0x510", of_process=True)
 def _says_exactly(v: BusView, ai: AiStatus) -> Iterator[str]:
     """MISSION_STATUS and direction as what is due has them, where no reason for a stop is hidden."""
     if not v.nothing_hidden:
@@ -182,12 +185,10 @@ def _says_exactly(v: BusView, ai: AiStatus) -> Iterator[str]:
         yield "not RUNNING and FORWARD in AS_DRIVING, and no stop is over"
 
 
-@rule("reactions", "0x510")
+@rule("reactions", "0x510", of_process=True)
 def _asks_for_the_emergency(v: BusView, ai: AiStatus) -> Iterator[str]:
     """Graded reactions: ESTOP_REQUEST when it is due; and not otherwise, where no reason for it is hidden."""
     s = v.seen
-    if v.process is None:
-        return
     if not ai.estop_request and s.as_state is AsState.AS_DRIVING:
         if s.alarm is not None and ai.direction is not Direction.NEUTRAL:
             yield f"no ESTOP_REQUEST: {s.alarm}"
@@ -379,11 +380,11 @@ def _within_rate(v: BusView, steer: AiSteer) -> Iterator[str]:
         yield f"steering turned by {turned_deg:.1f} deg in {step_ns / MS:.1f} ms"
 
 
-@rule("output table", "0x513")
+@rule("output table", "0x513", of_process=True)
 def _steers(v: BusView, steer: AiSteer) -> Iterator[str]:
     """In AS_DRIVING steering follows the command, or is held; it is zero in the first 3 s and at the end."""
     s, deg, order = v.seen, steer.steer_deg, v.order
-    if v.process is None or s.as_state is not AsState.AS_DRIVING or s.driving_ns is None:
+    if s.as_state is not AsState.AS_DRIVING or s.driving_ns is None:
         return
     if s.ended is not None and v.ai.direction is Direction.NEUTRAL:
         if deg != 0.0:
@@ -440,11 +441,12 @@ def _brakes_where_the_car_does(v: BusView, brake: AiBrake) -> Iterator[str]:
         yield "a hydraulic brake on a car that brakes by its motors"
 
 
-@rule("output table", "0x514")
+@rule("output table", "0x514", of_process=True)
 def _brakes(v: BusView, brake: AiBrake) -> Iterator[str]:
     """The brake that the output table and the reactions ask for, as soon as rule 1 lets it rise."""
     s, process, order, pct = v.seen, v.process, v.order, brake.front_pct
-    if process is None or v.motor_brakes or s.as_state is None or s.as_state in UNBRAKED:
+    assert process is not None
+    if v.motor_brakes or s.as_state is None or s.as_state in UNBRAKED:
         return
     if s.ended is not None and v.ai.direction is Direction.NEUTRAL:
         if pct > 0.0:
@@ -471,7 +473,7 @@ def _brakes(v: BusView, brake: AiBrake) -> Iterator[str]:
         yield f"brake {pct} %, and the command asks for {100.0 * order.brake:g} %"
 
 
-@rule("output table", "0x514")
+@rule("output table", "0x514", of_process=True)
 def _brakes_by_motors(v: BusView, brake: AiBrake) -> Iterator[str]:
     """A car that must never be asked for a hydraulic brake stops by torque against a speed limit of zero."""
     s, now_ns, wheels = v.seen, v.now_ns, v.wheels

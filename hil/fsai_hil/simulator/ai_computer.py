@@ -11,7 +11,7 @@ to them here as well, with the effect it has there.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -71,16 +71,15 @@ class OnboardComputer:
     def _send(self, frame: Frame) -> bool:
         if self.takes_frame is not None and not self.takes_frame(frame):
             return False
-        self._out.append(Frame(frame.can_id, frame.data, self._now_ns))
+        self._out.append(frame)
         return True
 
-    def on_frame(self, frame: Frame) -> None:
-        """A frame from the car, at `frame.t_ns`."""
+    def on_frames(self, frames: Sequence[Frame]) -> None:
+        """Frames from the car, oldest first, at the `t_ns` of each."""
         if self._hung_until_ns is not None:
-            if len(self._unread) < RECEIVE_BUFFER_FRAMES:
-                self._unread.append(frame)
+            self._unread += frames[: RECEIVE_BUFFER_FRAMES - len(self._unread)]
         elif self.bridge_running and self._bus_up:
-            self._confined("bridge", self._engine.on_frame, frame)
+            self._confined("bridge", self._engine.on_frames, frames, frames[-1].t_ns)
 
     def on_cones(self, observation: ConeObservation) -> None:
         """Cones that a detector reports; the planner gets them after the perception's delay."""
@@ -101,7 +100,8 @@ class OnboardComputer:
             self._edge_hung_until_ns = None
             if self._hung_until_ns is None and self.bridge_running:
                 self._read_slot(now_ns)
-        self._confined("bridge", self._turn, now_ns)
+        if now_ns >= self._engine.due_ns() or not self._undisturbed:
+            self._confined("bridge", self._turn, now_ns)
         return self._out
 
     def report(self) -> BridgeReport:
@@ -189,6 +189,11 @@ class OnboardComputer:
     def _keep_report(self) -> None:
         if not self._hangs:
             self._last_report = self.report()
+
+    @property
+    def _undisturbed(self) -> bool:
+        """The loop has nothing else to do than to send what is due."""
+        return self._hung_until_ns is None and self._reopen_ns is None and self.edge_running
 
     @property
     def _hangs(self) -> bool:

@@ -137,6 +137,8 @@ class Car:
         # what a substep needs of the model and need not work out 500 times a second
         self._cog_to_front_m = f.wheelbase_m - f.cog_ahead_of_rear_axle_m
         self._weight_n = f.mass_kg * GRAVITY_MPS2
+        self._brake_full_n = f.brake_full_mps2 * f.mass_kg
+        self._rolling_n = ROLLING_RESISTANCE * self._weight_n
         # Of a force that drives or drags the car, what moves its mass: the rest turns wheels and motor. (Brakes are
         # given by what the car does.)
         self._mass_share = f.mass_kg / (f.mass_kg + ROTATING_MASS_KG)
@@ -263,10 +265,13 @@ class Car:
             (self._front, order.front_torque_nm, order.front_motor_speed_max_rpm, rpm[0] + rpm[1]),
             (self._rear, order.rear_torque_nm, order.rear_motor_speed_max_rpm, rpm[2] + rpm[3]),
         ):
-            axle.brake_pct = _toward(axle.brake_pct, axle.brake.at(now), BRAKE_RATE_PCTPS * dt)
+            asked_pct = axle.brake.at(now)
+            if axle.brake_pct != asked_pct:
+                axle.brake_pct = _toward(axle.brake_pct, asked_pct, BRAKE_RATE_PCTPS * dt)
             axle.torque_nm = 0.0
             if order.tractive_system_live and axle.driven:
-                axle.magnitude_nm = _toward(axle.magnitude_nm, asked_nm, f.torque_rate_nmps * dt)
+                if axle.magnitude_nm != asked_nm:
+                    axle.magnitude_nm = _toward(axle.magnitude_nm, asked_nm, f.torque_rate_nmps * dt)
                 if axle.magnitude_nm > 0.0:
                     axle.torque_nm = self._motor_torque(axle.magnitude_nm, wheels_rpm * ratio, limit_rpm)
             else:
@@ -289,8 +294,7 @@ class Car:
 
     def _spin(self, dt: float) -> None:
         """Wheels in the air: only the axles turn."""
-        f = self.facts
-        full_nm = f.brake_full_mps2 * f.mass_kg * f.rolling_radius_m
+        full_nm = self._brake_full_n * self.facts.rolling_radius_m
         gain = dt / AXLE_INERTIA_KGM2
         moved = self._front.air_radps > 0.0 or self._rear.air_radps > 0.0
         for axle in (self._front, self._rear):
@@ -308,11 +312,14 @@ class Car:
         f, front, rear = self.facts, self._front, self._rear
         vx, vy, yaw_rate = self._vx, self._vy, self._yaw_rate
         radius = f.rolling_radius_m
-        front_drive, front_brake = self._drive_and_brake_n(front)
-        rear_drive, rear_brake = self._drive_and_brake_n(rear)
+        drive_share = self._mass_share
+        front_drive = front.torque_nm * DRIVELINE_EFFICIENCY / radius * drive_share
+        rear_drive = rear.torque_nm * DRIVELINE_EFFICIENCY / radius * drive_share
+        front_brake = self._brake_full_n * front.brake_share * front.brake_pct / 100.0
+        rear_brake = self._brake_full_n * rear.brake_share * rear.brake_pct / 100.0
 
         if vx <= 0.0:
-            rest = ROLLING_RESISTANCE * self._weight_n * self._mass_share + front_brake + rear_brake
+            rest = self._rolling_n * drive_share + front_brake + rear_brake
             if front_drive + rear_drive <= rest:
                 self._ax = self._ay = 0.0
                 return
@@ -324,12 +331,12 @@ class Car:
 
         steer = math.radians(self._road_deg)
         drag_n = 0.6 * DRAG_AREA_M2 * vx * vx  # half of 1.2 kg/m3 of air
-        resistance = (ROLLING_RESISTANCE * self._weight_n + drag_n) * self._mass_share
+        resistance = (self._rolling_n + drag_n) * drive_share
 
         blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
         to_front, to_rear = self._cog_to_front_m, f.cog_ahead_of_rear_axle_m
+        cos_steer, sin_steer = math.cos(steer), math.sin(steer)
         if blend > 0.0:
-            cos_steer, sin_steer = math.cos(steer), math.sin(steer)
             front_angle = steer - math.atan2(vy + to_front * yaw_rate, vx)
             rear_angle = -math.atan2(vy - to_rear * yaw_rate, vx)
             front_side = self._side_n(front_force, front_grip, front_angle)
@@ -370,7 +377,6 @@ class Car:
             return
         self._stopped_ns = None
         half = 0.5 * f.track_m * yaw_rate_next
-        cos_steer, sin_steer = math.cos(steer), math.sin(steer)
         sideways = (vy_next + to_front * yaw_rate_next) * sin_steer
         per_mps = RPM_PER_RADPS / radius
         self._rpm = (
@@ -380,32 +386,26 @@ class Car:
             _positive(vx_next + half + rear.slip_mps) * per_mps,
         )
 
-    def _drive_and_brake_n(self, axle: _Axle) -> tuple[float, float]:
-        f = self.facts
-        brake_n = f.brake_full_mps2 * f.mass_kg * axle.brake_share * axle.brake_pct / 100.0
-        return axle.torque_nm * DRIVELINE_EFFICIENCY / f.rolling_radius_m * self._mass_share, brake_n
-
     def _grip(self, axle: _Axle, load_n: float, asked_n: float, vx: float, dt: float) -> tuple[float, float]:
-        """What the tyres carry along, and what they could at most; what is left over spins or locks the wheels."""
+        """What the tyres carry along, and what they could at most; what is left over spins or locks the wheels.
+
+        A driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip.
+        """
         grip_n = FRICTION * load_n
         force_n = _between(-grip_n, asked_n, grip_n)
-        axle.slip_mps = self._slip(axle.slip_mps, asked_n - force_n, force_n / load_n, vx, dt)
+        excess_n = asked_n - force_n
+        if excess_n != 0.0:
+            slip_mps = axle.slip_mps + excess_n * self.facts.rolling_radius_m**2 / AXLE_INERTIA_KGM2 * dt
+            axle.slip_mps = max(-vx, slip_mps)
+        else:
+            creep, share = force_n / load_n / SLIP_STIFFNESS * vx, dt / 0.02
+            axle.slip_mps += (creep - axle.slip_mps) * (share if share < 1.0 else 1.0)
         return force_n, grip_n
 
     def _side_n(self, force_n: float, grip_n: float, angle_rad: float) -> float:
         """An axle's lateral force by its slip angle, of what the longitudinal one leaves of the grip."""
         left_n = math.sqrt(_positive(1.0 - (force_n / grip_n) ** 2)) * grip_n
         return left_n * math.sin(TYRE_C * math.atan(TYRE_B * angle_rad))
-
-    def _slip(self, slip_mps: float, excess_n: float, used: float, vx: float, dt: float) -> float:
-        """How fast a driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip."""
-        f = self.facts
-        if excess_n != 0.0:
-            slip_mps += excess_n * f.rolling_radius_m**2 / AXLE_INERTIA_KGM2 * dt
-            return max(-vx, slip_mps)
-        creep = used / SLIP_STIFFNESS * vx
-        share = dt / 0.02
-        return slip_mps + (creep - slip_mps) * (share if share < 1.0 else 1.0)
 
 
 def _positive(value: float) -> float:

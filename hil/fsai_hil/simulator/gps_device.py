@@ -6,6 +6,7 @@ Pure: what it sends follows from the car's motion and the time. The device's axe
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
@@ -34,7 +35,6 @@ DYNAMICS_MOST_MPS2: Final = 63.99  # signal database: ranges of 0x501
 DYNAMICS_MOST_DEGPS: Final = 255.99
 RECEIVER_PERIOD_NS: Final = 100 * MS  # the receiver solves for a position ten times a second and repeats it meanwhile
 FIRST_FIX_NS: Final = 2 * S
-INERTIAL: Final = (Acceleration.dbc_name, RotationB.dbc_name, LogDynamics2.dbc_name)
 ANTENNA_OK: Final = 2
 NAVIGATION_NONE: Final = 1
 NAVIGATION_3D: Final = 3
@@ -57,8 +57,8 @@ def degrees_and_minutes(angle_deg: float, positive: str, negative: str) -> tuple
 class PcanGps:
     """The device from its power-up on.
 
-    `frame(name, now_ns, car)` is its message of that name now. What the receiver and the magnetometer repeat is encoded
-    once, for it is most of the bus; the inertial messages are new each time.
+    `frames(names, now_ns, car)` are its messages of those names now. What the receiver and the magnetometer repeat is
+    encoded once, for it is most of the bus; the inertial messages are new each time.
     """
 
     def __init__(self, codec: Codec, now_ns: int) -> None:
@@ -67,12 +67,14 @@ class PcanGps:
         self._solved_ns: int | None = None
         self._slow: dict[str, tuple[int, bytes]] = {}  # identifier and payload
 
-    def frame(self, name: str, now_ns: int, car: CarFeedback) -> Frame:
-        if name not in INERTIAL:
-            if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
-                self._solved_ns = now_ns
-                self._slow = self._solve(now_ns, car)
-            return Frame(*self._slow[name], now_ns)
+    def frames(self, names: Iterable[str], now_ns: int, car: CarFeedback) -> list[Frame]:
+        if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
+            self._solved_ns = now_ns
+            self._slow = self._solve(now_ns, car)
+        slow = self._slow
+        return [Frame(*slow[name], now_ns) if name in slow else self._felt(name, now_ns, car) for name in names]
+
+    def _felt(self, name: str, now_ns: int, car: CarFeedback) -> Frame:
         if name == Acceleration.dbc_name:
             xyz_mg = (limited(mps2 * MILLI_G_PER_MPS2, MILLI_G_MOST) for mps2 in car.accel_xyz_mps2)
             return self._codec.encode(Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0, now_ns))

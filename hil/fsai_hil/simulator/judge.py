@@ -36,6 +36,7 @@ from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import KMH_PER_MPS, S
 
 STILL_M: Final = 0.10  # a car that must not move may settle by this much
+ROUNDING_M: Final = 1e-6
 CONE_PENALTY_S: Final = 2.0
 LINE_HALF_WIDTH_M: Final = 4.0  # a line is crossed within so much of its middle
 RPM_TOLERANCE: Final = 0.95  # a wheel speed asked for counts as reached from here
@@ -132,14 +133,16 @@ class _Route:
         self.progress_m = 0.0  # along the centreline since the run began
         self.lateral_m = 0.0  # positive: left of it
 
-    def _points(self, indices: range) -> Floats:
+    def _points(self, indices: range) -> list[tuple[float, float]]:
         """A closed line has no ends; an open one stays at them."""
         line: Any = self._track.centreline_m
-        return np.asarray(line.take(indices, axis=0, mode="wrap" if self._track.closed else "clip"))
+        points: list[tuple[float, float]]
+        points = line.take(indices, axis=0, mode="wrap" if self._track.closed else "clip").tolist()
+        return points
 
     def _nearest(self, indices: range, x: float, y: float) -> int:
-        apart = self._points(indices) - (x, y)
-        return indices[int(np.argmin((apart * apart).sum(axis=1)))]
+        apart = [(px - x) * (px - x) + (py - y) * (py - y) for px, py in self._points(indices)]
+        return indices[apart.index(min(apart))]
 
     def follow(self, x: float, y: float) -> float:
         """How far left of it the car is now."""
@@ -152,7 +155,7 @@ class _Route:
             best = max(0, best)
         self.progress_m += (best - self._index) * self.step_m
         self._index = best % count
-        (ax, ay), (px, py), (bx, by) = self._points(range(self._index - 1, self._index + 2)).tolist()
+        (ax, ay), (px, py), (bx, by) = self._points(range(self._index - 1, self._index + 2))
         length = math.hypot(bx - ax, by - ay)
         across = (bx - ax) * (y - py) - (by - ay) * (x - px)
         self.lateral_m = across / length if length else math.hypot(x - px, y - py)
@@ -168,21 +171,31 @@ class _Surroundings:
         self.hit: set[int] = set()
         self.left_m: list[tuple[float, float]] = []  # where the car left the lane
         self._off = False
+        self._clear_m = 0.0  # how far the nearest cone was that was not hit, when the car was `_there`
+        self._there = Pose()
 
     def look(self, pose: Pose, lateral_m: float | None) -> None:
-        track, car = self._track, self._car
+        car = self._car
         middle = Pose(*pose.ahead(car.nose_ahead_of_rear_axle_m - car.length_m / 2.0), pose.yaw_rad)
-        ahead, left = middle.seen(*track.cones_xy_m.T)
-        along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
-        apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
-        self.hit.update(np.flatnonzero(apart_m < CONE_RADIUS_M[track.cone_colors]).tolist())
+        self._look_at_cones(middle)
         half = car.track_m / 2.0
         wheels = ((along, across) for along in (0.0, car.wheelbase_m) for across in (half, -half))
         near = lateral_m is not None and abs(lateral_m) < 1.2  # no lane is narrower than 3 m; spares the exact look
-        off = not near and not any(track.on_lane(*pose.ahead(*wheel)) for wheel in wheels)
+        off = not near and not any(self._track.on_lane(*pose.ahead(*wheel)) for wheel in wheels)
         if off and not self._off:
             self.left_m.append((middle.x_m, middle.y_m))
         self._off = off
+
+    def _look_at_cones(self, middle: Pose) -> None:
+        car, there = self._car, self._there
+        turned = abs(middle.yaw_rad - there.yaw_rad) * math.hypot(car.length_m, car.width_m) / 2.0
+        if math.hypot(middle.x_m - there.x_m, middle.y_m - there.y_m) + turned < self._clear_m - ROUNDING_M:
+            return  # no point of the car has moved as far as that
+        ahead, left = middle.seen(*self._track.cones_xy_m.T)
+        along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
+        apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across)) - CONE_RADIUS_M[self._track.cone_colors]
+        self.hit.update(np.flatnonzero(apart_m < 0.0).tolist())
+        self._clear_m, self._there = float(apart_m[apart_m >= 0.0].min(initial=math.inf)), middle
 
 
 # ---------------------------------------------------------------- the missions

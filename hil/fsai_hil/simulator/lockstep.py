@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -137,15 +137,15 @@ class Lockstep:
         """Somebody else's frame is on the bus: everybody receives it."""
         if self.on_frame is not None:
             self.on_frame(frame)
-        self.computer.on_frame(frame)
+        self.computer.on_frames((frame,))
         self.world.on_frame(frame)
 
     def step(self) -> None:
         """One millisecond."""
         self.now_ns = now_ns = self.now_ns + STEP_NS
-        for frame in self.world.advance(now_ns):
-            self._see(frame)
-            self.computer.on_frame(frame)
+        if frames := self.world.advance(now_ns):
+            self._see(frames)
+            self.computer.on_frames(frames)
         if now_ns >= self._next_cones_ns:
             self._next_cones_ns += CONE_PERIOD_NS
             seen = self.detector(self.world.see_cones(now_ns))
@@ -154,16 +154,16 @@ class Lockstep:
         if not self._asked_autonomous:
             # What the operator types once: the mode is kept for every mission after it.
             self._asked_autonomous = self.bridge.set_mode("autonomous", now_ns)[0]
-        for frame in self.computer.advance(now_ns):
-            self._see(frame)
-            self.world.on_frame(frame)
+        if frames := self.computer.advance(now_ns):
+            self._see(frames)
+            for frame in frames:
+                self.world.on_frame(frame)
 
-    def _see(self, frame: Frame) -> None:
-        self.wire.on_frame(frame)
-        if self.watch is not None:
-            self.watch(frame)
-        if self.on_frame is not None:
-            self.on_frame(frame)
+    def _see(self, frames: Iterable[Frame]) -> None:
+        for see in (self.wire.on_frame, self.watch, self.on_frame):
+            if see is not None:
+                for frame in frames:
+                    see(frame)
 
     def run(
         self,

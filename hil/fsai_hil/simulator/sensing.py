@@ -79,10 +79,11 @@ class ConeSensor:
             kept = chance[0] >= level * (s.miss_near + (s.miss_far - s.miss_near) * far**2)
             certain = np.clip(0.97 - 0.25 * far - 0.1 * level * chance[3], 0.5, 1.0)
             x, y, colors, certain = x[kept], y[kept], colors[kept], certain[kept]
-            ghost_xy, ghost_colors, ghost_certain = self._ghosts(level)
-            x, y = np.concatenate([x, ghost_xy[:, 0]]), np.concatenate([y, ghost_xy[:, 1]])
-            colors = np.concatenate([colors, ghost_colors])
-            certain = np.concatenate([certain, ghost_certain])
+            if ghosts := int(draw.poisson(level * s.false_per_scan)):
+                ghost_x, ghost_y, ghost_colors, ghost_certain = self._ghosts(ghosts)
+                x, y = np.concatenate([x, ghost_x]), np.concatenate([y, ghost_y])
+                colors = np.concatenate([colors, ghost_colors])
+                certain = np.concatenate([certain, ghost_certain])
         else:
             certain = np.ones(len(distance))
         if not s.colours:
@@ -90,15 +91,13 @@ class ConeSensor:
         xy = np.column_stack([x + s.ahead_of_rear_axle_m, y])
         return ConeObservation(t_ns, xy, colors.astype(np.int64), certain)
 
-    def _ghosts(self, level: float) -> tuple[Floats, Ints, Floats]:
+    def _ghosts(self, count: int) -> tuple[Floats, Floats, Ints, Floats]:
         """Detections of nothing, anywhere in view."""
         s = self.settings
-        count = int(self._random.poisson(level * s.false_per_scan))
         distance = s.blind_m + (s.range_m - s.blind_m) * np.sqrt(self._random.random(count))
         angle = math.radians(s.field_of_view_deg) * (self._random.random(count) - 0.5)
         colors = COLOURED[self._random.integers(0, 2, count)]
-        xy = np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
-        return xy, colors, 0.1 + 0.35 * self._random.random(count)
+        return distance * np.cos(angle), distance * np.sin(angle), colors, 0.1 + 0.35 * self._random.random(count)
 
 
 def _other(colors: Ints, chance: Floats) -> Ints:

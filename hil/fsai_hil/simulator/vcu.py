@@ -10,11 +10,13 @@ Source: the vehicle's interface specification v4.0 (2021) and the signal databas
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from operator import attrgetter
+from functools import lru_cache
+from itertools import groupby
+from operator import attrgetter, itemgetter
 from types import MappingProxyType
-from typing import Any, Final, cast
+from typing import Any, Final, NamedTuple, cast
 
 from fsai_hil.simulator.ai_link import AiLink
 from fsai_hil.simulator.as_machine import AI_COMMS_LOST, CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
@@ -95,6 +97,15 @@ class Transition(Immutable):
         return f"{self.source.label} -> {self.target.label}: {self.why}"
 
 
+class _Burst(NamedTuple):
+    """Messages that a device hands to the bus together, in this order."""
+
+    names: tuple[str, ...]
+    period_ns: int
+    phase_ns: int
+    frames: Callable[[SimulatedVcu, Sequence[str], int], list[Frame]]
+
+
 class SimulatedVcu:
     """A VCU on a car's bus.
 
@@ -134,7 +145,7 @@ class SimulatedVcu:
         self._now_ns = now_ns
         self._feedback = CarFeedback()
         self.behave(profile)
-        self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
+        self._bursts = self._cyclic_bursts(gps, gps_decimation, log_decimation)
         self.powered = False  # low voltage is on: the VCU runs and sends
         self._ebs_closed_itself = False
         self._begin(now_ns)
@@ -187,9 +198,9 @@ class SimulatedVcu:
             due = self._due
             while due and due[0][0] <= now_ns:
                 t_ns, order = due[0]
-                name, period_ns = self._messages[order]
-                heapq.heapreplace(due, (t_ns + period_ns, order))
-                sent.append(self._frame(name, t_ns))
+                burst = self._bursts[order]
+                heapq.heapreplace(due, (t_ns + burst.period_ns, order))
+                sent += burst.frames(self, burst.names, t_ns)
         return self.outgoing.through(sent, now_ns)
 
     def next_due_ns(self) -> int:
@@ -219,8 +230,7 @@ class SimulatedVcu:
         self._shutdown_since_ns: int | None = None
         self._held_steer_deg = self._feedback.steer_deg
         begin_ns = now_ns + INITIAL_ACTIONS_NS
-        phases_ns = [0 if name in BUILDERS else GPS_PHASE_NS for name, _ in self._messages]
-        self._due = sorted((begin_ns + phase_ns, order) for order, phase_ns in enumerate(phases_ns))
+        self._due = sorted((begin_ns + burst.phase_ns, order) for order, burst in enumerate(self._bursts))
 
     def _power_off(self, now_ns: int) -> None:
         """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed anew."""
@@ -369,7 +379,7 @@ class SimulatedVcu:
         shown = self._latched | {fault.name for fault in CAR_FAULTS if fault.when(self.switches)}
         if self.comms_lost:
             shown |= {AI_COMMS_LOST.name}
-        return Faults(**{name: name in shown for name in FAULT_NAMES})
+        return _shown(frozenset(shown))
 
     @property
     def system_state(self) -> SystemState:
@@ -473,26 +483,34 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ what it sends
 
-    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[tuple[str, int], ...]:
-        """Everything that is sent in this revision and its period in ns, 0x520 first."""
+    def _cyclic_bursts(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_Burst, ...]:
+        """Everything that is sent in this revision, 0x520 first."""
         decimation = dict.fromkeys((LogDynamics1.dbc_name, LogStatus.dbc_name), log_decimation)
         decimation |= dict.fromkeys(GPS_NAMES, gps_decimation)
         revision = self.revision.name
-        return tuple(
-            (name, BY_NAME[name].period_ns[revision] * decimation.get(name, 1))
-            for name in (*BUILDERS, *(GPS_NAMES if gps else ()), REMOTE.name)
-            if revision in BY_NAME[name].period_ns
-        )
+        bursts: list[_Burst] = []
+        for names, phase_ns, frames in (
+            (tuple(BUILDERS), 0, SimulatedVcu._own_frames),
+            (GPS_NAMES if gps else (), GPS_PHASE_NS, SimulatedVcu._gps_frames),
+            ((REMOTE.name,), GPS_PHASE_NS, SimulatedVcu._remote_frames),
+        ):
+            sent = [
+                (BY_NAME[name].period_ns[revision] * decimation.get(name, 1), name)
+                for name in names
+                if revision in BY_NAME[name].period_ns
+            ]
+            for period_ns, together in groupby(sent, itemgetter(0)):
+                bursts.append(_Burst(tuple(name for _, name in together), period_ns, phase_ns, frames))
+        return tuple(bursts)
 
-    def _frame(self, name: str, t_ns: int) -> Frame:
-        if name == REMOTE.name:
-            return self._remote_frame(t_ns)
-        build = BUILDERS.get(name)
-        if build is None:
-            return self._device.frame(name, t_ns, self._feedback)
-        return self.codec.encode(build(self, t_ns))
+    def _own_frames(self, names: Sequence[str], t_ns: int) -> list[Frame]:
+        encode = self.codec.encode
+        return [encode(BUILDERS[name](self, t_ns)) for name in names]
 
-    def _remote_frame(self, t_ns: int) -> Frame:
+    def _gps_frames(self, names: Sequence[str], t_ns: int) -> list[Frame]:
+        return self._device.frames(names, t_ns, self._feedback)
+
+    def _remote_frames(self, names: Sequence[str], t_ns: int) -> list[Frame]:
         """0x181 of the remote's receiver on the car, which sends on when it no longer receives the remote.
 
         The signal database calls ESTOP_STATUS 1 ON and does not say whether that is pressed: here it is.
@@ -500,7 +518,7 @@ class SimulatedVcu:
         switches = self.switches
         strength_pct = 100 if switches.remote_radio_ok else 0
         pressed = switches.remote_estop | self.go_signal << 1
-        return Frame(REMOTE.can_id, bytes((pressed, 0, 0, 0, 0, 0, strength_pct, 0)), t_ns)
+        return [Frame(REMOTE.can_id, bytes((pressed, 0, 0, 0, 0, 0, strength_pct, 0)), t_ns)]
 
     def _status_image(self, t_ns: int) -> VcuStatus:
         s, profile = self.switches, self.profile
@@ -664,6 +682,11 @@ _seen_of: Final = attrgetter(*SEEN_OF_THE_SWITCHES)
 LOG_BRAKE_DISENGAGED: Final = 1
 LOG_BRAKE_ENGAGED: Final = 2
 LOG_BRAKE_AVAILABLE: Final = 3
+
+
+@lru_cache
+def _shown(faults: frozenset[str]) -> Faults:
+    return Faults(**{name: name in faults for name in FAULT_NAMES})
 
 
 def _torque_pct(torques: CarFeedback | Actuation) -> int:
