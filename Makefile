@@ -65,6 +65,16 @@ bench-control: setup  ## how well the car follows paths and speeds, beside plain
 rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
 	$(BIN)/python -m fsai_hil.rehearsal.carpc
 
+.PHONY: pages docs
+pages: setup  ## renew the tables and diagrams in the documentation's pages from code and evidence
+	@$(BIN)/python docs/pages.py
+
+docs: setup  ## build the documentation into out/docs, every link checked; installs what that needs
+	@$(BIN)/python -c "import material, mkdocstrings_handlers, mmdr" 2>/dev/null || $(BIN)/pip install -q -e ".[docs]"
+	@rm -rf out/pages && mkdir -p out/pages
+	@git ls-files -coz --exclude-standard '*.md' docs/pictures docs/site.css | xargs -0 cp --parents -t out/pages
+	@$(BIN)/python -m mkdocs build --strict --quiet && echo "saved out/docs/README.html"
+
 install:  ## install as the car's software, as root (or below DESTDIR=...); docs/car.md says what comes next
 	@scripts/install-car install
 
