@@ -252,7 +252,9 @@ def figures() -> str:
     (kinds,) = _found(r"(\d+) kinds of fault", faults)
     failed, driven = _found(r"Failed: (\d+) of (\d+) runs", missions)
     echoes, slowest = _found(r"of (\d+) echoes it saw the slowest took ([\d.]+) ms", response)
-    idle = _found(r"\| idle \| \d+ \| ([\d.]+) \| ([\d.]+) .*\| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| [\d.]+ % \|\n", response)
+    idle = _found(
+        r"\| idle \| \d+ \| ([\d.]+) \| ([\d.]+) .*\| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| [\d.]+ % \|\n", response
+    )
     counted = [row.split(" | ") for row in re.findall(r"^\| (`\w+` \|.*)$", mutation, re.MULTILINE)]
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 5))
     rows = (
