@@ -125,9 +125,10 @@ def limiters() -> str:
 
 
 def give_up() -> str:
+    seconds = ControllerSettings().give_up_s
     return (
-        f"The controller ends a drive that does not begin: a car that has stood for {ControllerSettings().give_up_s:.0f} s"
-        " in AS_DRIVING without a path\n(`give_up_s`) gets ESTOP_REQUEST, with the reason in words."
+        f"A car that has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, is"
+        "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words."
     )
 
 
@@ -147,14 +148,18 @@ def arrows() -> str:
     def reach(room: str) -> set[str]:
         return {further for to in edges[room] for further in {to, *reach(to)}}
 
+    def name(room: str) -> str:  # none is that of a subgraph
+        return "nodes" if room == "fsai_nodes" else room.replace(".", "_")
+
     lines = []
     for package in ("fsai_nodes", "fsai_hil", "fsai_vcu"):
-        inside = sorted({room for room in edges if room.split(".")[0] == package})
-        lines += [f"subgraph {package}", *(f'  {room}["{room.rpartition(".")[2]}"]' for room in inside), "end"]
+        inside = sorted(room for room in edges if room.split(".")[0] == package)
+        boxes = (f'  {name(room)}["{name(room).removeprefix(package + "_")}"]' for room in inside)
+        lines += [f"subgraph {package}", *boxes, "end"]
     for room, targets in sorted(edges.items()):
         implied = {further for to in targets for further in reach(to)}
-        lines += [f"{room} --> {to}" for to in sorted(targets - implied)]
-    return _diagram("flowchart TD", (line.replace("fsai_nodes.", "n_").replace(".", "_") for line in lines))
+        lines += [f"{name(room)} --> {name(to)}" for to in sorted(targets - implied)]
+    return _diagram("flowchart TD", lines)
 
 
 # ---------------------------------------------------------------- docs/troubleshooting.md
@@ -163,8 +168,9 @@ def arrows() -> str:
 def _causes(first: str, end: str | None) -> str:
     slugs = list(CAUSES)
     chosen = slugs[slugs.index(first) : slugs.index(end) if end else None]
-    rows = ((CAUSES[slug].words, CAUSES[slug].remedy, CAUSES[slug].record) for slug in chosen)
-    return _table(("it says", "what to do", "if that is not enough, record"), rows)
+    causes = (CAUSES[slug] for slug in chosen)
+    rows = ((one.words, one.remedy + (f". Next time record {one.record}" if one.record else "")) for one in causes)
+    return _table(("it says", "what to do"), rows)
 
 
 def endings() -> str:
@@ -252,9 +258,7 @@ def figures() -> str:
     (kinds,) = _found(r"(\d+) kinds of fault", faults)
     failed, driven = _found(r"Failed: (\d+) of (\d+) runs", missions)
     echoes, slowest = _found(r"of (\d+) echoes it saw the slowest took ([\d.]+) ms", response)
-    idle = _found(
-        r"\| idle \| \d+ \| ([\d.]+) \| ([\d.]+) .*\| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| [\d.]+ % \|\n", response
-    )
+    idle = next(line.split(" | ") for line in response.splitlines() if line.startswith("| idle |"))
     counted = [row.split(" | ") for row in re.findall(r"^\| (`\w+` \|.*)$", mutation, re.MULTILINE)]
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 5))
     rows = (
@@ -262,7 +266,7 @@ def figures() -> str:
         (f"{driven} drives of every mission to its end", f"failed: {failed}", "missions"),
         (
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
-            f"slowest {slowest} ms; idle p50 {idle[0]} ms, p99 {idle[1]} ms (a C loop: {idle[2]}, {idle[3]})",
+            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a C loop: {idle[7]}, {idle[8]})",
             "response-time",
         ),
         (
