@@ -15,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.rules.checker import RULES
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.supervision.config import BridgeConfig
@@ -229,7 +230,7 @@ def parameters() -> str:
 def _value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value) or '""'
+    return f"{value:g}" if isinstance(value, float) else "[]" if value == () else str(value) or '""'
 
 
 def _range(one: Any) -> str:
@@ -305,16 +306,14 @@ def _hazards() -> Iterator[str]:
 def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
     """What the campaign's table says of these faults. Its columns count from the end: texts may hold anything."""
 
-    def worst(column: int) -> str:
-        times = [int(row[column]) for row in rows if row[column].strip("| ").isdigit()]
-        return f"{max(times)} ms" if times else "none needed"
-
-    runs = sum(int(row[-6]) for row in rows)
+    begin = {kind.name for kind in ROWS if not kind.from_start}  # what is there from power-up on has no such time
     worse = sum(int(row[-1].strip("| ")) for row in rows)
-    return (
-        f"{runs} runs of the campaign with {', '.join(f'`{name}`' for name in names)}: {worse} worse than the rules"
-        f" allow; slowest reaction {worst(-5)}, slowest safe state {worst(-3)}"
-    )
+    text = f"{sum(int(row[-6]) for row in rows)} runs of the campaign with {', '.join(f'`{name}`' for name in names)}"
+    text += f": {worse} worse than the rules allow"
+    for words, column in (("slowest reaction", -5), ("slowest safe state", -3)):
+        times = [int(row[column]) for row in rows if row[0].strip("| `") in begin and row[column].isdigit()]
+        text += f"; {words} {max(times)} ms" if times else ""
+    return text
 
 
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
