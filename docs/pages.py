@@ -17,6 +17,8 @@ from typing import Any, Final
 
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.rules.checker import RULES
+from fsai_hil.simulator.as_machine import transition_table
+from fsai_hil.simulator.profiles import SPECIFICATION
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import LIMITERS
@@ -33,6 +35,7 @@ from fsai_vcu.core.supervision.supervisor import (
     Step,
 )
 from fsai_vcu.diagnostics.explain.causes import CAUSES
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.configuration import KEYS
 
@@ -161,6 +164,21 @@ def arrows() -> str:
         implied = {further for to in targets for further in reach(to)}
         lines += [f"{name(room)} --> {name(to)}" for to in sorted(targets - implied)]
     return _diagram("flowchart TD", lines)
+
+
+def as_states() -> str:
+    """The car's states as the simulated VCU has them, by the specification; why it brakes is a table of its own."""
+    labels: dict[tuple[str, str], list[str]] = {}
+    emergencies: dict[str, list[str]] = {}
+    for state, rows in transition_table(SPECIFICATION).items():
+        for row in rows:
+            if row.target is AsState.EMERGENCY_BRAKE:
+                emergencies.setdefault(row.why, []).append(state.label)
+            why = "emergency" if row.target is AsState.EMERGENCY_BRAKE else row.why
+            labels.setdefault((state.label, row.target.label), []).append(why)
+    steps = (f"{a} --> {b}: {'<br/>'.join(dict.fromkeys(why))}" for (a, b), why in labels.items())
+    diagram = _diagram("stateDiagram-v2", ["[*] --> AS_INIT", *steps])
+    return f"{diagram}\n\n{_table(('emergency', 'in'), ((why, ', '.join(at)) for why, at in emergencies.items()))}"
 
 
 # ---------------------------------------------------------------- docs/troubleshooting.md
@@ -319,7 +337,7 @@ def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
-        *(sent, flow, reactions, give_up, sequence, limiters, arrows, endings, starting, driving, guards),
+        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
         *(keys, parameters, figures, hazards),
     )
 }
