@@ -189,8 +189,8 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     "ai_silent": (
         "the AI computer fell silent: none of its five messages came any more",
-        "the program ended or hung, or its CAN plug or power went: look at its log (journalctl -b -u 'fsai-bridge@*') and at the"
-        " plug",
+        "the program ended or hung, or its CAN plug or power went: look at its log (journalctl -b -u 'fsai-bridge@*')"
+        " and at the plug",
         _TEAM_LOG,
     ),
     "ai_message_missing": (
