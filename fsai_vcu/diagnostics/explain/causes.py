@@ -28,7 +28,9 @@ class Cause:
     record: str = ""
 
 
-_TEAM_LOG = "the log of vcu_bridge (journalctl -u fsai-vcu, or /diagnostics in a bag): it names who asked and why"
+_TEAM_LOG = (
+    "the log of vcu_bridge (journalctl -b -u 'fsai-bridge@*', or /diagnostics in a bag): it names who asked and why"
+)
 _CAR_RESTART = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
 
 _MOVE_STEERING = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
@@ -187,8 +189,8 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     "ai_silent": (
         "the AI computer fell silent: none of its five messages came any more",
-        "the program ended or hung, or its CAN plug or power went: look at its log (journalctl -u fsai-vcu) and at the"
-        " plug",
+        "the program ended or hung, or its CAN plug or power went: look at its log (journalctl -b -u 'fsai-bridge@*')"
+        " and at the plug",
         _TEAM_LOG,
     ),
     "ai_message_missing": (

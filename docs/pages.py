@@ -1,0 +1,367 @@
+"""`make pages`: fills what stands between `<!-- made: NAME -->` and `<!-- /made -->` in the pages, from the code.
+
+The words of a page are written by hand, its tables, diagrams and figures are made here: of the tables in the code, of
+`hazards.toml` and of the evidence in `docs/evidence`.
+"""
+
+from __future__ import annotations
+
+import re
+import runpy
+import sys
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.catalogue import ROWS
+from fsai_hil.rules.checker import RULES
+from fsai_hil.simulator.as_machine import transition_table
+from fsai_hil.simulator.profiles import SPECIFICATION
+from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.gate import LIMITERS
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import (
+    NEXT,
+    OUTPUT,
+    REACTIONS,
+    STEERS_WHILE_STOPPING,
+    Brake,
+    Consequence,
+    Output,
+    Steer,
+    Step,
+)
+from fsai_vcu.diagnostics.explain.causes import CAUSES
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.units import MS
+from fsai_vcu.runtime.configuration import KEYS
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+EVIDENCE: Final = ROOT / "docs" / "evidence"
+BLOCK: Final = re.compile(r"(<!-- made: (\w+) -->\n).*?(<!-- /made -->)", re.DOTALL)
+
+_FOLLOWS = {
+    Consequence.REPORT: "reported",
+    Consequence.HOLD: "torque 0 while it lasts",
+    Consequence.STOP: "service-brake stop, latched",
+    Consequence.STOP_MANUAL: "service-brake stop, latched, and manual mode",
+    Consequence.ESTOP: "ESTOP_REQUEST, latched",
+}
+_STEERING = {
+    Steer.ZERO: "0",
+    Steer.HELD: "held",
+    Steer.COMMAND: "by command",
+    Steer.HELD_OR_COMMAND: "held, or by command where the cause lets the planner speak",
+}
+_BRAKE = {
+    Brake.ZERO: "0",
+    Brake.HOLDING: "holding brake",
+    Brake.COMMAND: "by command",
+    Brake.KEPT: "as before",
+    Brake.SERVICE: "service brake",
+}
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+
+
+def _sent(row: Output) -> list[str]:
+    status = "SELECTED once the mission is acknowledged" if row.mission_status is None else row.mission_status.label
+    torque = "by command" if row.torque else "0"
+    return [status, row.direction.label, _STEERING[row.steer], _BRAKE[row.brake], torque]
+
+
+def _after(step: Step) -> str:
+    return "at once" if step.after is None else f"{getattr(BridgeConfig(), step.after) / MS:.0f} ms"
+
+
+def _reaction(reason: Reason, steps: Sequence[Step]) -> list[str]:
+    steers = "yes" if reason in STEERS_WHILE_STOPPING else ""
+    follows = "; ".join(f"{_after(step)}: {_FOLLOWS[step.consequence]}" for step in steps)
+    return [f"`{reason.slug}`", reason.words, follows, steers]
+
+
+def _flow() -> list[str]:
+    """What ends a drive: reasons that do the same are one box."""
+    alike: dict[tuple[Step, ...], list[Reason]] = {}
+    for reason, steps in REACTIONS.items():
+        alike.setdefault(steps, []).append(reason)
+    lines = [f'{one.name}(["{words}"])' for one, words in _FOLLOWS.items()]
+    for number, (steps, reasons) in enumerate(alike.items()):
+        lines.append(f'R{number}["{"<br>".join(reason.slug for reason in reasons)}"]')
+        lines += [f"R{number} -->|{_after(step)}| {step.consequence.name}" for step in steps]
+    return lines
+
+
+def _diagram(kind: str, lines: Iterable[str]) -> str:
+    return "\n".join(["```mermaid", kind, *(f"  {line}" for line in lines), "```"])
+
+
+# ---------------------------------------------------------------- docs/supervision.md
+
+
+def sent() -> str:
+    rows = ([phase.value, *_sent(row)] for phase, row in OUTPUT.items())
+    return _table(("phase", "MISSION_STATUS", "direction", "steering", "brake", "torque"), rows)
+
+
+def reactions() -> str:
+    rows = (_reaction(reason, steps) for reason, steps in REACTIONS.items())
+    return _table(("reason", "what it says", "after, and what follows", "the planner steers in that stop"), rows)
+
+
+def flow() -> str:
+    return _diagram("flowchart LR", _flow())
+
+
+def sequence() -> str:
+    steps = [f"{before.name} --> {then.name}: {state.label}" for (before, state), then in NEXT.items()]
+    return _diagram("stateDiagram-v2", ["[*] --> NONE", *steps])
+
+
+def limiters() -> str:
+    rows = ((str(place), f"`{one.__name__}`", (one.__doc__ or "").strip()) for place, one in enumerate(LIMITERS, 1))
+    return _table(("", "limiter", "rule"), rows)
+
+
+def give_up() -> str:
+    seconds = ControllerSettings().give_up_s
+    return (
+        f"A car that has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, is"
+        "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words."
+    )
+
+
+# ---------------------------------------------------------------- docs/architecture.md
+
+
+def arrows() -> str:
+    """The rooms of fsai_vcu and fsai_hil, and what may import what; an arrow that others imply is left out."""
+    table = runpy.run_path(str(ROOT / "tests" / "test_architecture.py"))["ARROWS"]
+    big = {room: ".".join(room.split(".")[:2]) for room in table}
+    edges: dict[str, set[str]] = {}
+    for room, targets in table.items():
+        wide = {big[to] for to in targets} | ({"fsai_vcu.runtime"} if "fsai_vcu" in targets else set())
+        edges.setdefault(big[room], set()).update(wide - {big[room], "fsai_vcu", "fsai_hil"})
+    edges = {room: targets for room, targets in edges.items() if room not in ("fsai_vcu", "fsai_hil")}
+
+    def reach(room: str) -> set[str]:
+        return {further for to in edges[room] for further in {to, *reach(to)}}
+
+    def name(room: str) -> str:  # none is that of a subgraph
+        return "nodes" if room == "fsai_nodes" else room.replace(".", "_")
+
+    lines = []
+    for package in ("fsai_nodes", "fsai_hil", "fsai_vcu"):
+        inside = sorted(room for room in edges if room.split(".")[0] == package)
+        boxes = (f'  {name(room)}["{name(room).removeprefix(package + "_")}"]' for room in inside)
+        lines += [f"subgraph {package}", *boxes, "end"]
+    for room, targets in sorted(edges.items()):
+        implied = {further for to in targets for further in reach(to)}
+        lines += [f"{name(room)} --> {name(to)}" for to in sorted(targets - implied)]
+    return _diagram("flowchart TD", lines)
+
+
+def as_states() -> str:
+    """The car's states as the simulated VCU has them, by the specification; why it brakes is a table of its own."""
+    labels: dict[tuple[str, str], list[str]] = {}
+    emergencies: dict[str, list[str]] = {}
+    for state, rows in transition_table(SPECIFICATION).items():
+        for row in rows:
+            if row.target is AsState.EMERGENCY_BRAKE:
+                emergencies.setdefault(row.why, []).append(state.label)
+            why = "emergency" if row.target is AsState.EMERGENCY_BRAKE else row.why
+            labels.setdefault((state.label, row.target.label), []).append(why)
+    steps = (f"{a} --> {b}: {'<br/>'.join(dict.fromkeys(why))}" for (a, b), why in labels.items())
+    diagram = _diagram("stateDiagram-v2", ["[*] --> AS_INIT", *steps])
+    return f"{diagram}\n\n{_table(('emergency', 'in'), ((why, ', '.join(at)) for why, at in emergencies.items()))}"
+
+
+# ---------------------------------------------------------------- docs/troubleshooting.md
+
+
+def _causes(first: str, end: str | None) -> str:
+    slugs = list(CAUSES)
+    chosen = slugs[slugs.index(first) : slugs.index(end) if end else None]
+    causes = (CAUSES[slug] for slug in chosen)
+    rows = ((one.words, one.remedy + (f". Next time record {one.record}" if one.record else "")) for one in causes)
+    return _table(("it says", "what to do"), rows)
+
+
+def endings() -> str:
+    return _causes(next(iter(CAUSES)), "no_ai_data")
+
+
+def starting() -> str:
+    return _causes("no_ai_data", "torque_not_given")
+
+
+def driving() -> str:
+    return _causes("torque_not_given", None)
+
+
+# What no log of the bus shows, but `fsai-vcu status` and the log of vcu_bridge do
+_TO_DO: Final = {
+    Reason.BOTH_PEDALS: "have the controller send throttle or brake, the other one 0",
+    Reason.BACKLOG: "look what kept the processor busy (`fsai-vcu doctor`: scheduling)",
+    Reason.NOT_CONFIRMED: "start planner and controller before AS_READY; each confirms every new `run_id`",
+    Reason.STACK_RESTARTED: "look in its log why it ended; the next run begins in AS_OFF",
+    Reason.COMMAND_REFUSED: "`fsai-vcu check-stack` names the field, or the clock that is ahead",
+    Reason.COMMAND_OTHER_RUN: "put the `run_id` of the newest `/run_state` into each command",
+    Reason.STEER_CLAMPED: "plan with `steering_max_rad` of `/vehicle_state`, and the official's limit",
+    Reason.TORQUE_LIMIT_UNKNOWN: "check why 0x521 or 0x522 stopped (`fsai-vcu stats`)",
+    Reason.TORQUE_BLOCKED: "gate and supervisor disagree: keep the log of bus and bridge, and report it",
+    Reason.STILLNESS_UNPROVEN: "gate and supervisor disagree: keep the log of bus and bridge, and report it",
+}
+
+
+def guards() -> str:
+    rows = ((f"`{one.slug}`", one.words, _TO_DO[one]) for one in Reason if one.slug not in CAUSES)
+    return _table(("reason", "what it says", "what to do"), rows)
+
+
+# ---------------------------------------------------------------- settings
+
+
+def keys() -> str:
+    rows = (
+        (f"`{key.spelt}`", f"`{_value(key.default)}`", _range(key), key.meaning, f"`{key.node}`" if key.node else "")
+        for key in KEYS
+    )
+    return _table(("key", "default", "may be", "meaning", "parameter of"), rows)
+
+
+def parameters() -> str:
+    nodes = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge", "visualization")
+    rows = (
+        (node, f"`{one.name}`", f"`{_value(one.default)}`", _range(one), one.description, "live" if one.live else "")
+        for node in (*nodes, "eufs_adapter")
+        for one in import_module(f"fsai_nodes.{node}").SETTINGS
+    )
+    return _table(("node", "parameter", "default", "may be", "meaning", ""), rows)
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else "[]" if value == () else str(value) or '""'
+
+
+def _range(one: Any) -> str:
+    if one.choices:
+        return ", ".join(one.choices)
+    return "" if one.low is None else f"{one.low:g} … {one.high:g}"
+
+
+# ---------------------------------------------------------------- docs/safety-case.md, and figures of the evidence
+
+
+def _read(name: str) -> str:
+    return (EVIDENCE / name).read_text(encoding="utf-8")
+
+
+def _found(pattern: str, text: str) -> tuple[str, ...]:
+    match = re.search(pattern, text)
+    assert match, f"the evidence has no longer: {pattern}"
+    return match.groups()
+
+
+def figures() -> str:
+    """What the committed evidence says, one line for each of its pages."""
+    faults, missions, response, mutation = map(_read, ("faults.md", "missions.md", "response-time.md", "mutation.md"))
+    worse, runs = _found(r"Worse than the rules allow: (\d+) of (\d+) runs", faults)
+    (kinds,) = _found(r"(\d+) kinds of fault", faults)
+    failed, driven = _found(r"Failed: (\d+) of (\d+) runs", missions)
+    echoes, slowest = _found(r"of (\d+) echoes it saw the slowest took ([\d.]+) ms", response)
+    idle = next(line.split(" | ") for line in response.splitlines() if line.startswith("| idle |"))
+    counted = [row.split(" | ") for row in re.findall(r"^\| (`\w+` \|.*)$", mutation, re.MULTILINE)]
+    mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 5))
+    rows = (
+        (f"{runs} runs with a fault in each, {kinds} kinds of fault", f"worse than the rules allow: {worse}", "faults"),
+        (f"{driven} drives of every mission to its end", f"failed: {failed}", "missions"),
+        (
+            f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
+            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a C loop: {idle[7]}, {idle[8]})",
+            "response-time",
+        ),
+        (
+            f"{mutants} small mistakes put into supervisor and gate",
+            f"not noticed by a test: {survived} ({mutants - killed - survived} change nothing, or never end)",
+            "mutation",
+        ),
+    )
+    return _table(
+        ("what was done", "result", "all of it"),
+        ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows),
+    )
+
+
+def hazards() -> str:
+    return "\n\n".join(_hazards())
+
+
+def _hazards() -> Iterator[str]:
+    rows = {row[0].strip("| `"): row for row in (line.split(" | ") for line in _read("faults.md").splitlines())}
+    for number, one in enumerate(tomllib.loads((ROOT / "docs" / "hazards.toml").read_text())["hazard"], 1):
+        yield "\n".join(
+            (
+                f"### {number}. {one['name']}",
+                "",
+                one["what"],
+                "",
+                *(f"- **Prevented by** {measure}" for measure in one["prevented_by"]),
+                *(f"- **Rule** {rule}: {RULES[rule]}" for rule in one["rules"]),
+                f"- **Tests** {', '.join(f'`{test}`' for test in one['tests'])}",
+                f"- **Evidence** {_campaign([rows[fault] for fault in one['faults']], one['faults'])}",
+            )
+        )
+
+
+def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
+    """What the campaign's table says of these faults. Its columns count from the end: texts may hold anything."""
+
+    begin = {kind.name for kind in ROWS if not kind.from_start}  # what is there from power-up on has no such time
+    worse = sum(int(row[-1].strip("| ")) for row in rows)
+    text = f"{sum(int(row[-6]) for row in rows)} runs of the campaign with {', '.join(f'`{name}`' for name in names)}"
+    text += f": {worse} worse than the rules allow"
+    for words, column in (("slowest reaction", -5), ("slowest safe state", -3)):
+        times = [int(row[column]) for row in rows if row[0].strip("| `") in begin and row[column].isdigit()]
+        text += f"; {words} {max(times)} ms" if times else ""
+    return text
+
+
+BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
+    make.__name__: make
+    for make in (
+        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
+        *(keys, parameters, figures, hazards),
+    )
+}
+
+
+def renewed(page: Path) -> str:
+    """The page with its blocks made anew."""
+    evidence = "docs/evidence/" if page.parent == ROOT else "evidence/"
+
+    def block(match: re.Match[str]) -> str:
+        return match[1] + BLOCKS[match[2]]().replace("{evidence}", evidence) + "\n" + match[3]
+
+    return BLOCK.sub(block, page.read_text(encoding="utf-8"))
+
+
+def pages() -> list[Path]:
+    """The pages that have such blocks."""
+    found = (ROOT / "README.md", ROOT / "nodes" / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    return [page for page in found if BLOCK.search(page.read_text(encoding="utf-8"))]
+
+
+if __name__ == "__main__":
+    for page in pages():
+        if (text := renewed(page)) != page.read_text(encoding="utf-8"):
+            page.write_text(text, encoding="utf-8")
+            print(f"renewed {page.relative_to(ROOT)}")
+    sys.exit(0)
