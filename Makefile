@@ -1,7 +1,7 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo drive test evidence verify missions mutation fuzz campaign explanations soak scrutineering bench bench-planning bench-control rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo drive test evidence verify missions mutation fuzz campaign explanations soak scrutineering bench bench-planning bench-control rehearsal install uninstall deb rehearse-deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -84,6 +84,9 @@ uninstall:  ## take it away again; configuration and logs are kept
 
 deb:  ## a Debian package that needs no network where it is installed, in out/deb
 	@scripts/install-car deb
+
+rehearse-deb:  ## install that package in bare chroots of SUITES (debootstrap), drive, upgrade, purge; as root, minutes
+	@scripts/rehearse-deb $(SUITES)
 
 lint: setup-for-tests  ## ruff and mypy
 	@scripts/test lint types

@@ -46,6 +46,7 @@ ARROWS: dict[str, set[str]] = {
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report")}
     | {"fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.stack": {"fsai_vcu.core"},
     "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", DIAGNOSTICS},
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},
     "fsai_nodes.recorder": {"fsai_nodes", "fsai_vcu.runtime", f"{DIAGNOSTICS}.export"},

@@ -10,14 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from importlib.resources import files
 from typing import Any, Final
 
-from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_seconds_argument,
-    check_seconds,
-)
+from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -37,10 +30,7 @@ WORDS: Final = ("AS_STATE", "AMI_STATE", "SHUTDOWN_CAUSE", "GO_SIGNAL")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", nargs="?", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
     parser.add_argument("--layout", action="store_true", help="print a layout to import, and nothing else")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
-    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
-    add_seconds_argument(parser)
-    add_database_arguments(parser)
+    add_server_arguments(parser, PORT)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,9 +43,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("foxglove-sdk is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
     if args.source is None:
         raise WrongUse("a log or an interface is missing")
-    if not 0 < args.port < 65536:
-        raise WrongUse(f"--port is {args.port}, but must be 1 to 65535")
-    check_seconds(args)
+    check_server(args)
     decoding = Decoding("foxglove", args)
     sources = Sources("foxglove", [args.source], decoding)
     try:
@@ -63,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     except (OSError, RuntimeError) as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error}") from error
     how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
-    print(f"ws://{args.host}:{args.port} shows {sources.name}, {how_long}", flush=True)
+    print(f"ws://{args.host}:{server.port} shows {sources.name}, {how_long}", flush=True)
     topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
     ended: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption

@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_seconds_argument,
-    check_seconds,
-)
+from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
@@ -39,12 +32,9 @@ STORY_S: Final = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
-    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}; 0: any that is free")
     parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast (default: 1)")
     parser.add_argument("--loop", action="store_true", help="play a log again and again")
-    add_seconds_argument(parser)
-    add_database_arguments(parser)
+    add_server_arguments(parser, PORT)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,9 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.pitwall.server import Server
 
     check_numbers(args, rate=0.01)
-    check_seconds(args)
-    if not 0 <= args.port < 65536:
-        raise WrongUse(f"--port is {args.port}, but must be 0 to 65535")
+    check_server(args)
     sources = Sources("pitwall", [args.source])
     if sources.live and (args.rate is not None or args.loop):
         raise WrongUse("--rate and --loop are for logs")

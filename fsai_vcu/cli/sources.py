@@ -325,6 +325,21 @@ def check_seconds(args: argparse.Namespace) -> None:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
 
+def add_server_arguments(parser: argparse.ArgumentParser, port: int) -> None:
+    """What a verb that shows one source on the network can be given."""
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
+    parser.add_argument("--port", type=int, default=port, help=f"default: {port}; 0: any that is free")
+    add_seconds_argument(parser)
+    add_database_arguments(parser)
+
+
+def check_server(args: argparse.Namespace) -> None:
+    """Raises WrongUse."""
+    if not 0 <= args.port < 65536:
+        raise WrongUse(f"--port is {args.port}, but must be 0 to 65535")
+    check_seconds(args)
+
+
 class Progress:
     """How far it is, rewritten on a terminal every second."""
 

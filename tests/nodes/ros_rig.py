@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from fsai_nodes import qos
+from fsai_nodes.conversions import BASE_FRAME
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState
@@ -154,13 +155,14 @@ class Stand:
         self._cones.publish(message)
         self.rig.turns()
 
-    def plan(self, age_ms: float = 0.0, poses: int = 3) -> None:
+    def plan(self, age_ms: float = 0.0, poses: int = 3, frame: str = BASE_FRAME) -> None:
         """As from the planner: straight on, or, without poses, that it sees no way."""
         status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path()
         for index in range(poses):
             path.poses.append(PoseStamped())
             path.poses[-1].pose.position.x = 2.0 * index
         status.header.stamp = path.header.stamp = self.rig.stamp(age_ms)
+        path.header.frame_id = frame
         self._status.publish(status)
         self._path.publish(path)
         self.rig.turns(10)  # both are taken before the next pair comes

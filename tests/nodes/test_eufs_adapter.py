@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
-from eufs_msgs.msg import CanState, ConeArrayWithCovariance, WheelSpeedsStamped
+from eufs_msgs.msg import CanState, CarState, ConeArrayWithCovariance, VehicleCommandsStamped, WheelSpeedsStamped
 from eufs_msgs.srv import SetCanState
 from fsai_msgs.msg import Cone, ConeArray, ResetConfirmation, VehicleCommand, VehicleState
 from ros_rig import RosRig
@@ -16,7 +17,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from fsai_nodes import qos
-from fsai_nodes.eufs_adapter import HOLDING_BRAKE, EufsAdapter, can_state
+from fsai_nodes.eufs_adapter import HOLDING_BRAKE, EufsAdapter, can_state, car_state, vehicle_commands
 from fsai_vcu.core.vehicle.forces import brake_for, throttle_for
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
@@ -70,6 +71,19 @@ def test_states_and_missions_are_told_in_eufs_numbers() -> None:
     assert as_states == [0, 0, 1, 2, 3, 4, 0]
     missions = [can_state(VehicleState(mission=value)).ami_state for value in (*map(int, Ami), 255)]
     assert missions == [10, 11, 12, 13, 14, 18, 19, 15, 10]
+
+
+def test_what_was_sent_and_the_pose_are_told_in_eufs_units() -> None:
+    state = VehicleState(handshake=True, sent_mission_status=2, sent_direction=1, sent_front_brake=0.25)
+    state.sent_front_torque_nm, state.sent_steering_rad = 40.0, math.radians(-9.0)
+    state.x, state.y, state.yaw_rad, state.speed_mps, state.yaw_rate_radps = 3.0, -2.0, math.pi / 2.0, 5.0, 0.5
+    sent, pose = vehicle_commands(state), car_state(state)
+    assert (sent.handshake, sent.ebs, sent.direction, sent.mission_status) == (1, 0, 1, 2)
+    assert (sent.braking, sent.torque, sent.steering) == pytest.approx((25.0, 40.0, -9.0))
+    assert vehicle_commands(VehicleState(sent_estop_request=True)).ebs == 1
+    assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (3.0, -2.0)
+    assert (pose.pose.pose.orientation.z, pose.pose.pose.orientation.w) == pytest.approx((0.5**0.5, 0.5**0.5))
+    assert (pose.twist.twist.linear.x, pose.twist.twist.angular.z) == (5.0, 0.5)
 
 
 def test_an_acceleration_becomes_throttle_or_brake(rig: RosRig) -> None:
@@ -133,13 +147,15 @@ def test_the_stack_hears_state_wheels_and_cones(rig: RosRig) -> None:
     states, words = rig.subscribe(CanState, "/ros_can/state", 1), rig.subscribe(String, "/ros_can/state_str", 1)
     wheels = rig.subscribe(WheelSpeedsStamped, "/ros_can/wheel_speeds", 1)
     seen = rig.subscribe(ConeArrayWithCovariance, "/fusion/cones", 1)
+    sent = rig.subscribe(VehicleCommandsStamped, "/ros_can/vehicle_commands", 1)
+    poses = rig.subscribe(CarState, "/odometry_integration/car_state", 1)
     stack = Stack(rig)
     cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
 
     def heard() -> bool:
         stack.state(AsState.AS_READY)
         cones.publish(ConeArray(cones=[Cone(x=3.0, color=Cone.BIG_ORANGE), Cone(x=4.0)]))
-        return bool(states and words and wheels and seen)
+        return bool(states and words and wheels and seen and sent and poses)
 
     rig.spin_until(heard, "all of it")
     assert (states[-1].as_state, states[-1].ami_state) == (CanState.AS_READY, CanState.AMI_TRACK_DRIVE)

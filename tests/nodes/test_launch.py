@@ -100,6 +100,7 @@ def test_what_is_started_is_what_was_asked_for() -> None:
         ({"mission": "drag race"}, "mission:=drag race: choose of acceleration, skidpad"),
         ({"listen_only": "yes"}, "listen_only:=yes: choose of true, false"),
         ({"without": "planner"}, "without:=planner: choose of vcu_bridge"),
+        ({"simulated_car": "true", "can_interface": "loopback:x", "truth_port": "abc"}, "abc: not a port's number"),
     ],
 )
 def test_a_wrong_argument_is_refused_in_one_line(given: dict[str, str], words: str) -> None:

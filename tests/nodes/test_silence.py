@@ -114,6 +114,23 @@ def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
     rig.spin_until(named, "the planner is named")
 
 
+def test_a_path_in_another_frame_is_refused_in_words(rig: RosRig) -> None:
+    controller = rig.start(VehicleController)
+    rig.announce()
+    stand = Stand(rig)
+    commands = rig.subscribe(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+
+    def planned(frame: str) -> None:
+        stand.state()
+        stand.plan(frame=frame)
+
+    rig.spin_until(lambda: planned("base_link") or controller._plan is not None, "a plan")
+    rig.spin_until(lambda: planned("map") or controller._plan is None, "the plan is given up")
+    words = "/path is in 'map', but must be in base_link"
+    rig.spin_until(lambda: planned("map") or words in commands[-1].note, "words")
+    assert controller._plan is None and commands[-1].throttle == 0.0 and commands[-1].brake > 0.0
+
+
 # ---------------------------------------------------------------- the bridge
 
 

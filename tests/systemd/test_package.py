@@ -202,6 +202,12 @@ def test_purging_takes_a_log_folder_that_is_empty(image: Image) -> None:
 
 def test_the_rehearsal_unpacks_the_package_afresh(deb: Path, tmp_path: Path) -> None:
     Image(tmp_path / "machine", HAVE)
+    # As man-db looks at manual pages; its script is of the machine, and not below the root.
+    (tmp_path / "machine/var/lib/dpkg/triggers").mkdir()
+    (tmp_path / "machine/var/lib/dpkg/triggers/File").write_text("/usr/share/doc iproute2\n")
+    script = tmp_path / "machine/var/lib/dpkg/info/iproute2.postinst"
+    script.write_text("#!/bin/sh\n")
+    script.chmod(0o755)
     root = tmp_path / "root"
     rehearsed.unpack(deb, root, tmp_path / "machine/var/lib/dpkg")
     status = (root / "var/lib/dpkg/status").read_text()

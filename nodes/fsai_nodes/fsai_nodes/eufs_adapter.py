@@ -10,7 +10,15 @@ import math
 from functools import partial
 
 from ackermann_msgs.msg import AckermannDriveStamped
-from eufs_msgs.msg import CanState, ConeArrayWithCovariance, ConeWithCovariance, WheelSpeedsStamped
+from eufs_msgs.msg import (
+    CanState,
+    CarState,
+    ConeArrayWithCovariance,
+    ConeWithCovariance,
+    VehicleCommands,
+    VehicleCommandsStamped,
+    WheelSpeedsStamped,
+)
 from eufs_msgs.srv import SetCanState
 from fsai_msgs.msg import Cone, ConeArray, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from geometry_msgs.msg import TwistWithCovarianceStamped
@@ -21,7 +29,7 @@ from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger
 
 from fsai_nodes.clocks import Clocks, nanoseconds
-from fsai_nodes.conversions import BASE_FRAME
+from fsai_nodes.conversions import BASE_FRAME, motion_from_state, odometry_to_msg
 from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.process import run
 from fsai_nodes.qos import SENSOR, TOPICS, publisher
@@ -100,6 +108,28 @@ def words_of(state: CanState, driving: bool) -> str:
     return f"AS:{AS_WORDS[state.as_state]} {ami} DRIVING:{str(driving).upper()}"
 
 
+def vehicle_commands(state: VehicleState) -> VehicleCommands:
+    """What was sent, in the units of the wire. The motors' speed limit is in no VehicleState."""
+    return VehicleCommands(
+        handshake=int(state.handshake),
+        ebs=int(state.sent_estop_request),
+        direction=state.sent_direction,
+        mission_status=state.sent_mission_status,
+        braking=100.0 * state.sent_front_brake,
+        torque=state.sent_front_torque_nm,
+        steering=math.degrees(state.sent_steering_rad),
+        rpm=math.nan,
+    )
+
+
+def car_state(state: VehicleState) -> CarState:
+    """Where the run's odometry has the car; accelerations are not measured by it."""
+    odometry = odometry_to_msg(motion_from_state(state, 0), state.header.stamp)
+    message = CarState(header=odometry.header, child_frame_id=FRAME, pose=odometry.pose, twist=odometry.twist)
+    message.linear_acceleration_covariance[0] = -1.0  # sensor_msgs/Imu's word for: none
+    return message
+
+
 class EufsAdapter(Node):
     """Commands at a steady rate, from the newest /cmd while the stack's driving flag is set, else at rest."""
 
@@ -118,6 +148,8 @@ class EufsAdapter(Node):
         self._words = self.create_publisher(String, "ros_can/state_str", 1)
         self._wheels = self.create_publisher(WheelSpeedsStamped, "ros_can/wheel_speeds", 1)
         self._twist = self.create_publisher(TwistWithCovarianceStamped, "ros_can/twist", 1)
+        self._sent = self.create_publisher(VehicleCommandsStamped, "ros_can/vehicle_commands", 1)
+        self._car_state = self.create_publisher(CarState, "odometry_integration/car_state", 1)
         self._cones = self.create_publisher(ConeArrayWithCovariance, "fusion/cones", 1)
         self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
         self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
@@ -166,6 +198,8 @@ class EufsAdapter(Node):
         twist = TwistWithCovarianceStamped(header=wheels.header)
         twist.twist.twist.linear.x, twist.twist.twist.angular.z = state.speed_mps, state.yaw_rate_radps
         self._twist.publish(twist)
+        self._sent.publish(VehicleCommandsStamped(header=wheels.header, commands=vehicle_commands(state)))
+        self._car_state.publish(car_state(state))
 
     def _on_cones(self, message: ConeArray) -> None:
         cones = ConeArrayWithCovariance(header=Header(stamp=message.header.stamp, frame_id=FRAME))

@@ -128,7 +128,10 @@ def programs(given: Mapping[str, str]) -> list[Program]:
         # Nobody is there to choose the mode.
         texts["autonomous_at_power_up"] = texts["autonomous_at_power_up"] or "true"
         options = {name: texts[name] for name in ("mission", "revision", "seed", "laps", "track") if texts[name]}
-        words = simulated_car(texts["can_interface"], int(texts["truth_port"] or DEFAULT_PORT), options)
+        port = texts["truth_port"] or str(DEFAULT_PORT)
+        if not port.isdecimal():
+            raise ValueError(f"truth_port:={port}: not a port's number")
+        words = simulated_car(texts["can_interface"], int(port), options)
         car = [Program("simulated_car", "fsai_vcu.cli.main", tuple(words))]
 
     if not on["simulated"]:

@@ -11,7 +11,7 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 
 from fsai_nodes.clocks import LATE_NS, Clocks, Input, nanoseconds
-from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
+from fsai_nodes.conversions import BASE_FRAME, command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
 from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
 from fsai_nodes.qos import TOPICS, publisher
@@ -105,9 +105,12 @@ class VehicleController(Node):
     def _on_path(self, message: Path) -> None:
         now_ns = self._clocks.now_ns()
         self._paths.received(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
-        self._pending = message
-        if not message.poses:
+        foreign = bool(message.poses) and message.header.frame_id != BASE_FRAME
+        if foreign:
+            self._planner_waits = f"/path is in '{message.header.frame_id}', but must be in {BASE_FRAME}", now_ns
+        if foreign or not message.poses:
             self._plan = None  # whether or not a status says why
+        self._pending = None if foreign else message
         self._pair()
 
     def _pair(self) -> None:

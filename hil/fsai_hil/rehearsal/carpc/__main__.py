@@ -142,12 +142,13 @@ def install_car(*words: str | Path, **variables: Path) -> None:
 def unpack(package: Path, root: Path, dpkg: Path = Path("/") / _DPKG) -> None:
     """Unpack it below `root` by dpkg, beside what this machine says is installed; what is configured is left to do.
 
-    Its dependencies are judged when it is configured, which is done in the rehearsed machine.
+    Its dependencies are judged when it is configured, which is done in the rehearsed machine. Other packages' triggers,
+    such as the manual pages' index, are left: their scripts are not below `root`.
     """
     shutil.rmtree(root, ignore_errors=True)
     root.mkdir(parents=True)
     shutil.copytree(dpkg, root / _DPKG, symlinks=True)
-    words = ["dpkg", f"--root={root}", "--force-unsafe-io", "--unpack", str(package)]
+    words = ["dpkg", f"--root={root}", "--force-unsafe-io", "--no-triggers", "--unpack", str(package)]
     if os.geteuid() != 0:
         if shutil.which("fakeroot") is None:
             raise VcanError("dpkg unpacks as root only; as another: sudo apt-get install -y fakeroot")
@@ -201,7 +202,7 @@ def first_process(missions: str, installed: Path, results: Path, clock: Mapping[
         ": > etc/fstab",
         "echo car-pc > etc/hostname",
         *(f"ln -sf /dev/null etc/systemd/system/{unit}" for unit in MASKED),
-        *([] if short else [f"chroot . dpkg --configure {PACKAGE}"]),
+        *([] if short else [f"chroot . dpkg --no-triggers --configure {PACKAGE}"]),
         # The bench: vcan0, the simulated car and what it is seen with.
         "cp -r usr/share/fsai/bench/fsai-* etc/systemd/system/",
         "cp usr/share/fsai/bench/70-* etc/systemd/network/",

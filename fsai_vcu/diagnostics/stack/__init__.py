@@ -1,0 +1,229 @@
+"""What a ROS stack around the bridge does wrong, judged from its messages. No ROS here: whoever listens hands them in.
+
+stack = StackWatch()
+stack.receive("vehicle_cmd", message, now_s, ros_ns)      # each message, as it comes
+stack.ends["vehicle_cmd"] = Ends(publishers, readers, deaf)
+for finding in stack.findings(): ...
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.reasons import words_of
+from fsai_vcu.core.supervision.supervisor import ROLES, Asked
+
+_CONFIG = BridgeConfig()
+AGE_MAX_S = _CONFIG.sensor_stale_ns / 1e9
+AHEAD_MAX_S = _CONFIG.sensor_future_ns / 1e9
+GAP_MAX_S = _CONFIG.command_stale_ns / 1e9
+_STEER_MAX_RAD = math.radians(30.0)  # where the car has not said its own
+_COMMANDED = [each.name for each in fields(VehicleCommand) if each.name != "t_sensor_ns"]
+_ASKED = tuple(each.value for each in Asked)  # such a stop is in order
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """What is expected of one. `least_hz` is a tenth below what is asked for; 0: said once, kept for late listeners."""
+
+    least_hz: float
+    sender: str = ""  # of what must come
+
+
+TOPICS = {
+    "vehicle_cmd": Topic(45.0, "the controller"),
+    "vehicle_state": Topic(18.0, "vcu_bridge"),
+    "detected_cones": Topic(4.5),
+    "path": Topic(4.5),
+    "planner_status": Topic(4.5),
+    "run_state": Topic(0.0, "vcu_bridge"),
+    "reset_confirmation": Topic(0.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong: where, what, and what to do."""
+
+    topic: str
+    wrong: str
+    to_do: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """The nodes at a topic's ends, by name."""
+
+    publishers: list[str] = field(default_factory=list)
+    readers: list[str] = field(default_factory=list)
+    deaf: list[tuple[str, str, str]] = field(default_factory=list)  # reader, publisher, and why it does not receive it
+
+
+@dataclass(slots=True)
+class Heard:
+    """One topic: when its messages came, and what their stamps said. Times in s."""
+
+    count: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+    gap_s: float = 0.0
+    unstamped: int = 0
+    oldest_s: float = -math.inf
+    youngest_s: float = math.inf
+
+    def receive(self, now_s: float, age_s: float | None) -> None:
+        """A message at `now_s`; the age of its stamp, None where the stamp is empty."""
+        if self.count:
+            self.gap_s = max(self.gap_s, now_s - self.last_s)
+        else:
+            self.first_s = now_s
+        self.count, self.last_s = self.count + 1, now_s
+        if age_s is None:
+            self.unstamped += 1
+        else:
+            self.oldest_s, self.youngest_s = max(self.oldest_s, age_s), min(self.youngest_s, age_s)
+
+    @property
+    def rate_hz(self) -> float:
+        return (self.count - 1) / (self.last_s - self.first_s) if self.last_s > self.first_s else 0.0
+
+
+@dataclass(slots=True)
+class StackWatch:
+    """What was heard of a stack, and what of it is wrong."""
+
+    heard: dict[str, Heard] = field(default_factory=lambda: {topic: Heard() for topic in TOPICS})
+    ends: dict[str, Ends] = field(default_factory=dict)
+    run_id: int | None = None
+    confirmed: set[tuple[str, int]] = field(default_factory=set)
+    problems: Counter[str] = field(default_factory=Counter)  # of single commands, in words
+    counted: dict[str, tuple[int, int]] = field(default_factory=dict)  # by reason: at first, and at last
+    details: dict[str, str] = field(default_factory=dict)
+    stopping: str = ""
+    frames: set[str] = field(default_factory=set)
+    steer_max_rad: float = _STEER_MAX_RAD
+
+    def receive(self, topic: str, message: Any, now_s: float, ros_ns: int) -> None:
+        """`now_s`: any steady clock; `ros_ns`: ROS time, by which messages are stamped."""
+        age_s = None
+        if TOPICS[topic].least_hz:
+            stamp = message.header.stamp
+            stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+            # With `late` a planner's status has no path, and no stamp.
+            age_s = (ros_ns - stamp_ns) / 1e9 if stamp_ns or getattr(message, "late", "") else None
+        if topic == "planner_status" and message.late:
+            return
+        self.heard[topic].receive(now_s, age_s)
+        if hasattr(self, f"_on_{topic}"):
+            getattr(self, f"_on_{topic}")(message)
+
+    def _on_run_state(self, message: Any) -> None:
+        self.run_id = message.run_id
+
+    def _on_reset_confirmation(self, message: Any) -> None:
+        self.confirmed.add((message.role, message.run_id))
+
+    def _on_vehicle_state(self, message: Any) -> None:
+        if message.steering_max_rad > 0.0:
+            self.steer_max_rad = message.steering_max_rad
+        why = message.emergency or message.stopping
+        if why and not why.startswith(_ASKED):
+            self.stopping = why
+
+    def _on_path(self, message: Any) -> None:
+        if message.poses:
+            self.frames.add(message.header.frame_id)
+
+    def _on_vehicle_cmd(self, message: Any) -> None:
+        command = VehicleCommand(0, **{name: getattr(message, name) for name in _COMMANDED})
+        # The numbers differ from command to command; the first words of a problem say what it is.
+        self.problems.update(text.split(" ")[0] for text in command.problems(self.steer_max_rad))
+        if command.throttle > 0.0 and command.brake > 0.0:
+            self.problems["both"] += 1
+        if self.run_id is not None and command.run_id != self.run_id:
+            self.problems["run_id"] += 1
+
+    def diagnose(self, key: str, value: str) -> None:
+        """A pair of /diagnostics' supervision: how often each reason has come up, and its last detail."""
+        if key.startswith("count of "):
+            slug, count = key.removeprefix("count of "), int(value)
+            self.counted[slug] = self.counted.get(slug, (count, count))[0], count
+        elif key.startswith("last detail of "):
+            self.details[key.removeprefix("last detail of ")] = value
+
+    # ------------------------------------------------------------ what is wrong
+
+    def findings(self) -> Iterator[Finding]:
+        for topic, ends in self.ends.items():
+            yield from _of_ends(topic, ends)
+        for topic, expected in TOPICS.items():
+            heard = self.heard[topic]
+            if expected.sender and not heard.count:
+                to_do = f"it comes from {expected.sender}: is it running, on this ROS_DOMAIN_ID and in this namespace?"
+                yield Finding(topic, "nothing was received", to_do)
+            if expected.least_hz:
+                yield from _of_times(topic, heard, expected.least_hz)
+        for role in ROLES if self.run_id is not None else ():
+            if (role, self.run_id) not in self.confirmed:
+                to_do = f"publish ResetConfirmation(role='{role}') with each new run_id of /run_state, transient local"
+                yield Finding("reset_confirmation", f"the {role} has not confirmed run {self.run_id}", to_do)
+        for problem, count in self.problems.items():
+            yield Finding("vehicle_cmd", *_of_commands(problem, count, self.steer_max_rad))
+        for frame in sorted(self.frames - {"base_link"}):
+            to_do = "points are in base_link, of the instant of the stamp: x forward, y left, from the rear axle"
+            yield Finding("path", f"frame_id is '{frame}'", to_do)
+        for slug, (before, after) in self.counted.items():
+            if after > before:
+                detail = f" ({self.details[slug]})" if slug in self.details else ""
+                wrong = f"the bridge intervened {after - before} times: {words_of(slug)}{detail}"
+                yield Finding("vehicle_cmd", wrong, "docs/supervision.md says what follows from it")
+        if self.stopping:
+            yield Finding("vehicle_state", f"the car was stopped: {self.stopping}", "the first lines here may say why")
+
+
+def _of_ends(topic: str, ends: Ends) -> Iterator[Finding]:
+    """Publishers and readers that do not receive each other, and a topic with one side only."""
+    if not ends.publishers and ends.readers and not TOPICS[topic].sender and topic != "reset_confirmation":
+        wrong = f"nobody publishes it, and {' and '.join(sorted(set(ends.readers)))} waits for it"
+        yield Finding(topic, wrong, "is that node running? is it remapped?")
+    if topic == "vehicle_cmd" and len(ends.publishers) > 1:
+        wrong = f"{len(ends.publishers)} nodes command the car: {' and '.join(sorted(ends.publishers))}"
+        yield Finding(topic, wrong, "end all but one of them")
+    for reader, publisher, why in ends.deaf:
+        wrong = f"{reader} does not receive {publisher}: {why}"
+        yield Finding(topic, wrong, "use the profile of fsai_nodes.qos (nodes/README.md has the table)")
+
+
+def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
+    if heard.count > 1 and heard.rate_hz < least_hz:
+        wrong = f"{heard.rate_hz:.1f} Hz, at least {least_hz / 0.9:.0f} are needed"
+        yield Finding(topic, wrong, "publish by a timer or with each input, and do nothing slow in a callback")
+    elif topic == "vehicle_cmd" and heard.gap_s > GAP_MAX_S:
+        wrong = f"it paused for {heard.gap_s * 1e3:.0f} ms; after {GAP_MAX_S * 1e3:.0f} ms torque is cut"
+        yield Finding(topic, wrong, "publish by a timer of 20 ms, and do nothing slow in a callback")
+    if heard.unstamped:
+        to_do = "copy the stamp of the oldest data behind it (cones, path), not the time of publishing"
+        yield Finding(topic, f"{heard.unstamped} of {heard.count} messages have no stamp", to_do)
+    if heard.oldest_s > AGE_MAX_S:
+        wrong = f"stamps are up to {heard.oldest_s:.2f} s old; after {AGE_MAX_S:g} s data are stale"
+        yield Finding(topic, wrong, "pass the newest data on at once; on two computers: are their clocks alike?")
+    if heard.youngest_s < -AHEAD_MAX_S:
+        wrong = f"stamps are up to {-heard.youngest_s:.2f} s in the future: such messages are refused"
+        yield Finding(topic, wrong, "stamp with this computer's clock, not with simulated time")
+
+
+def _of_commands(problem: str, count: int, steer_max_rad: float) -> tuple[str, str]:
+    """What is wrong with `count` commands, and what to do; `problem` is a field's name, or 'both'."""
+    if problem == "both":
+        return f"{count} commands ask for throttle and brake together: the brake wins", "set one of them to 0"
+    if problem == "run_id":
+        return f"{count} commands are of another run, and count as none", "copy run_id from the newest /run_state"
+    limits = f"+-{steer_max_rad:.2f} rad" if problem == "steering_rad" else "0 or more"
+    limits = "0 to 1" if problem in ("throttle", "brake") else limits
+    return f"in {count} commands {problem} is out of range or no number", f"keep it within {limits}"

@@ -1,0 +1,129 @@
+"""What a ROS stack does wrong is named, each with what to do; a stack in order is left alone. No ROS is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from types import SimpleNamespace
+
+import pytest
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.supervision.supervisor import Asked
+from fsai_vcu.diagnostics.stack import Ends, StackWatch
+
+ROS_S = 1_000.0
+
+
+def stamped(age_s: float = 0.0, **values: object) -> SimpleNamespace:
+    """A message as ROS has it, its stamp so old."""
+    stamp_s = ROS_S - age_s
+    stamp = SimpleNamespace(sec=int(stamp_s), nanosec=int(stamp_s % 1 * 1e9))
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=""), **values)
+
+
+def command(age_s: float = 0.0, **values: object) -> SimpleNamespace:
+    return stamped(age_s, **asdict(VehicleCommand(0, **{"run_id": 7, **values})))
+
+
+def state(**values: object) -> SimpleNamespace:
+    return stamped(**{"run_id": 7, "steering_max_rad": 0.36, "emergency": "", "stopping": "", **values})
+
+
+def watched(message: Callable[[], SimpleNamespace] = command, period_s: float = 0.02) -> StackWatch:
+    """A stack in order for 2 s, but for its commands."""
+    watch = StackWatch()
+    watch.receive("run_state", SimpleNamespace(run_id=7), 0.0, 0)
+    for role in ("planner", "controller"):
+        watch.receive("reset_confirmation", SimpleNamespace(role=role, run_id=7), 0.0, 0)
+    for number in range(round(2.0 / period_s)):
+        watch.receive("vehicle_cmd", message(), number * period_s, round(ROS_S * 1e9))
+        watch.receive("vehicle_state", state(), number * 0.02, round(ROS_S * 1e9))
+    return watch
+
+
+def wrong(watch: StackWatch) -> list[str]:
+    return [f"{each.topic}: {each.wrong}; {each.to_do}" for each in watch.findings()]
+
+
+def test_a_stack_in_order_has_nothing_wrong() -> None:
+    assert wrong(watched()) == []
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (lambda: command(throttle=0.5, brake=0.1), ("throttle and brake together", "set one of them to 0")),
+        (lambda: command(steering_rad=0.4), ("steering_rad is out of range", "+-0.36 rad")),
+        (lambda: command(throttle=float("nan")), ("throttle is out of range or no number", "0 to 1")),
+        (lambda: command(brake=1.1), ("brake is out of range", "0 to 1")),
+        (lambda: command(age_s=0.6), ("0.60 s old", "pass the newest data on")),
+        (lambda: command(age_s=-0.5), ("0.50 s in the future", "this computer's clock")),
+        (lambda: command(age_s=ROS_S), ("100 of 100 messages have no stamp", "oldest data behind it")),
+    ],
+)
+def test_a_wrong_command_is_named_with_what_to_do(
+    message: Callable[[], SimpleNamespace], words: tuple[str, ...]
+) -> None:
+    (line,) = wrong(watched(message))
+    assert line.startswith("vehicle_cmd: ") and all(word in line for word in words), line
+
+
+def test_too_slow_commands_are_named_with_their_rate() -> None:
+    (line,) = wrong(watched(period_s=0.1))
+    assert "10.0 Hz, at least 50 are needed" in line
+
+
+def test_commands_of_another_run_and_missing_resets_are_named() -> None:
+    watch = watched()
+    watch.receive("run_state", SimpleNamespace(run_id=8), 2.0, 0)
+    watch.receive("vehicle_cmd", command(), 1.99, round(ROS_S * 1e9))
+    planner, controller, stale = wrong(watch)
+    assert "the planner has not confirmed run 8" in planner and "the controller has not" in controller
+    assert "1 commands are of another run" in stale
+
+
+def test_what_the_bridge_counted_meanwhile_is_told_with_detail() -> None:
+    watch = watched()
+    for count in (3, 5):
+        watch.diagnose("count of command_refused", str(count))
+        watch.diagnose("last detail of command_refused", "throttle is nan")
+        watch.diagnose("count of steer_clamped", "2")  # long before
+    (line,) = wrong(watch)
+    assert "intervened 2 times" in line and "refused whole" in line and "(throttle is nan)" in line
+
+
+@pytest.mark.parametrize("why", [Asked.MISSION_DONE.value, "wheel speeds (0x525) are missing"])
+def test_a_stop_is_told_unless_somebody_asked_for_it(why: str) -> None:
+    watch = watched()
+    watch.receive("vehicle_state", state(stopping=why), 2.0, round(ROS_S * 1e9))
+    told = wrong(watch)
+    assert told == [] if why == "the mission is done" else why in told[0]
+
+
+def test_a_silent_stack_is_named_topic_by_topic() -> None:
+    lines = wrong(StackWatch())
+    topics = ("vehicle_cmd", "vehicle_state", "run_state")
+    assert [line.partition(": nothing was received")[0] for line in lines] == list(topics)
+
+
+def test_a_path_in_another_frame_is_named() -> None:
+    watch = watched()
+    path = stamped(poses=["one"])
+    path.header.frame_id = "map"
+    watch.receive("path", path, 0.0, round(ROS_S * 1e9))
+    assert wrong(watch)[0].startswith("path: frame_id is 'map'; points are in base_link")
+
+
+def test_ends_that_do_not_fit_are_named_by_their_nodes() -> None:
+    watch = watched()
+    watch.ends = {
+        "vehicle_cmd": Ends(publishers=["ours", "team"]),
+        "path": Ends(readers=["ours"]),
+        "vehicle_state": Ends(readers=["ours"], deaf=[("ours", "team", "best effort and reliable")]),
+    }
+    assert [each.partition(";")[0] for each in wrong(watch)] == [
+        "vehicle_cmd: 2 nodes command the car: ours and team",
+        "path: nobody publishes it, and ours waits for it",
+        "vehicle_state: ours does not receive team: best effort and reliable",
+    ]
