@@ -378,11 +378,13 @@ def test_the_line_of_an_askew_gate_is_across_the_lane() -> None:
     assert (line.x_m, line.y_m, line.yaw_rad) == pytest.approx((-0.1, 0.0, 0.0), abs=0.2)
 
 
-def test_a_lap_without_a_gate_is_counted_by_the_judge() -> None:
+def test_laps_without_a_gate_count_for_judge_and_planner_alike() -> None:
     made = small_oval()
-    track = parse_track(without_gate(made, made.staging(Ami.AUTOCROSS, NOSE_M)), "loop.csv")
-    verdict = Lockstep(WorldSetup(missions=[Ami.AUTOCROSS], track=track)).run().verdict
-    assert (verdict.result, verdict.laps) == ("pass", 1), verdict.reasons
+    track = parse_track(without_gate(made, made.staging(Ami.TRACKDRIVE, NOSE_M)), "loop.csv")
+    lockstep = Lockstep(WorldSetup(missions=[Ami.TRACKDRIVE], track=track, laps=2, revision="2021", gps=False))
+    lockstep.detector = lambda seen: seen  # one that reports false cones, too
+    verdict = lockstep.run().verdict
+    assert (verdict.result, verdict.laps, verdict.cones_hit) == ("pass", 2, 0), verdict.reasons
 
 
 def test_every_built_in_track_can_be_loaded_again_by_its_source() -> None:
