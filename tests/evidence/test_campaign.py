@@ -248,24 +248,3 @@ def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.Monke
 
 
 # ---------------------------------------------------------------- wrong use
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["--runs", "0", "--full", "0"], "one of them at least 1"),
-        (["--faults", "gremlins"], "unknown fault 'gremlins'"),
-        (["--missions", "picnic"], "unknown mission 'picnic'"),
-        (["--revisions", "1999"], "1999"),
-        (["--jobs", "0"], "at least 1 process"),
-        (["--window", "0.1"], "1 to 100 s"),
-        (["--faults", "planner_silent", "--missions", "static_inspection_a"], "none of these faults applies"),
-        (["--table", "/nowhere/record.jsonl"], "/nowhere/record.jsonl: No such file"),
-    ],
-)
-def test_wrong_use_is_one_clear_line(
-    arguments: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["campaign", *arguments, "--out", str(tmp_path)]) == 1
-    error = capsys.readouterr().err
-    assert complaint in error and error.count("\n") == 1

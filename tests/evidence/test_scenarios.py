@@ -10,7 +10,7 @@ import pytest
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, Since
 from fsai_hil.evidence.campaign.runner import SNAPSHOTS, drive_batch
-from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up, run_case
+from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, run_case
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
 
@@ -21,11 +21,10 @@ def case(fault: str, mission: Ami = Ami.ACCELERATION, after_ms: int = 3500, **pa
 
 def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
     one = case("detector_inventing", Ami.AUTOCROSS, duration=800, count=12)  # chance of detector, planner and fault
-    copied = [Scenario(one, SNAPSHOTS.rig(one), 1000) for _ in range(2)]
-    rig = power_up(one.world)
+    snapshots = Snapshots()
+    copied = [Scenario(one, snapshots.rig(one), 1000) for _ in range(2)]
     assert one.leg_ms is not None
-    drive_to(rig, one.leg_ms)
-    whole = Scenario(one, rig, 1000)
+    whole = Scenario(one, snapshots._driven(one.world, one.leg_ms), 1000)  # what was driven there, and no copy
     for scenario in (*copied, whole):
         while not scenario.over:
             scenario.step()
@@ -81,23 +80,6 @@ def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys:
     assert "bridge stops the car because the vehicle command is stale" in printed
     assert "car: AS_FINISHED (mission FINISHED at rest)" in printed
     assert "seen: service-brake stop, FINISHED" in printed
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["--fault", "nothing"], "unknown fault 'nothing': --list-faults shows"),
-        (["--fault", "go_off", "--track", "small_oval"], "--track does not go with --fault"),
-        (["--fault", "go_off", "--noise", "2"], "do not go with --fault"),
-        (["--fault", "go_off", "--mission", "picnic"], "unknown mission 'picnic'"),
-    ],
-)
-def test_what_cannot_be_driven_is_one_clear_line(
-    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["drive", *arguments]) == 1
-    error = capsys.readouterr().err
-    assert complaint in error and error.count("\n") == 1
 
 
 def test_the_catalogue_is_listed_for_people(capsys: pytest.CaptureFixture[str]) -> None:

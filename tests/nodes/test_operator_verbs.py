@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
@@ -78,10 +79,13 @@ def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
         (["reset", "--namespace", "car two"], "fsai-vcu reset: --namespace car two: that is no ROS namespace"),
     ],
 )
-def test_without_a_bridge_every_verb_says_so_in_one_line(argv: list[str], words: str) -> None:
-    said = verb(*argv, "--wait", "0.5")
-    assert said.returncode == 1 and said.stdout == ""
-    assert said.stderr.startswith(words) and said.stderr.count("\n") == 1, said.stderr
+def test_without_a_bridge_every_verb_says_so_in_one_line(
+    argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*argv, "--wait", "0.5"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(words) and said.err.count("\n") == 1, said.err
 
 
 @pytest.mark.parametrize("name", ["reset", "status"])
