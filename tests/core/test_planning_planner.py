@@ -64,7 +64,7 @@ def test_acceleration_is_straight_at_full_throttle_and_ends() -> None:
         return command
 
     track = replace(STRAIGHT, cones_xy_m=xy, cone_colors=color, car_start=start)
-    lockstep = Lockstep(WorldSetup([Ami.ACCELERATION], track=track, gps=False))
+    lockstep = Lockstep(WorldSetup(missions=[Ami.ACCELERATION], track=track, gps=False))
     lockstep.computer.command_filter = watch
     verdict = lockstep.run().verdict
     assert verdict.passed and verdict.cones_hit == 0, verdict.reasons

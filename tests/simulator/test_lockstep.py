@@ -68,11 +68,11 @@ DISPLACED = replace(skidpad_track(), car_start=Pose(-15.0 - NOSE_M - 2.8, 0.0, 0
 @pytest.mark.parametrize(
     ("setup", "detector", "sensors", "power_cycles"),
     [
-        (WorldSetup([Ami.ACCELERATION, Ami.STATIC_INSPECTION_B], gps=False), confident, (), 1),
-        (WorldSetup([Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO], revision="2021"), confident, (), 0),
-        (WorldSetup([Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False), colourless, (drifting,), 0),
-        (WorldSetup([Ami.AUTOCROSS], track=without_gate(), gps=False), unsure, (), 0),
-        (WorldSetup([Ami.TRACKDRIVE], track=OVAL, laps=2, revision="2021", gps=False), confident, (), 0),
+        (WorldSetup(missions=[Ami.ACCELERATION, Ami.STATIC_INSPECTION_B], gps=False), confident, (), 1),
+        (WorldSetup(missions=[Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO], revision="2021"), confident, (), 0),
+        (WorldSetup(missions=[Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False), colourless, (drifting,), 0),
+        (WorldSetup(missions=[Ami.AUTOCROSS], track=without_gate(), gps=False), unsure, (), 0),
+        (WorldSetup(missions=[Ami.TRACKDRIVE], track=OVAL, laps=2, revision="2021", gps=False), confident, (), 0),
     ],
     ids=lambda value: value.missions[0].name.lower() if isinstance(value, WorldSetup) else "",
 )
