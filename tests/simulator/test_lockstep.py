@@ -154,7 +154,7 @@ def test_operational_limits_are_never_exceeded() -> None:
 
 @pytest.mark.parametrize(
     "mission",
-    [Ami.ACCELERATION, Ami.SKIDPAD, Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO],
+    [Ami.ACCELERATION, Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO],  # along a path, on stands, by itself
     ids=lambda ami: ami.name.lower(),
 )
 def test_max_speed_is_kept_by_each_kind_of_control(mission: Ami) -> None:
