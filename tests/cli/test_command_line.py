@@ -40,34 +40,6 @@ def test_drive_json_ends_with_one_object_of_the_promised_keys(
     assert [entry["state"] for entry in result["as_states"]][-1] == "EMERGENCY_BRAKE"
 
 
-@pytest.mark.parametrize(
-    ("argv", "status", "words"),
-    [
-        (["fly"], 2, "no verb 'fly'"),
-        (["drive", "--laps", "many"], 2, "argument --laps: invalid int value: 'many'"),
-        (["drive", "--mission", "rally"], 1, "unknown mission 'rally'"),
-        (["drive", "--revision", "2030"], 1, "choose one of 2021, 2026"),
-        (["drive", "--track", "gone.csv"], 1, "gone.csv: cannot be read"),
-        (["drive", "--seed", "-1"], 1, "seed is -1, but must be 0 or more"),
-        (["drive", "--max-speed", "nan"], 1, "max_speed_mps is nan"),
-        (["drive", "--limits", "gone.toml"], 1, "gone.toml"),
-        (["drive", "--log", "/absent/bus.log"], 1, "/absent/bus.log: No such file or directory"),
-        (["status", "--wait", "nan"], 2, "--wait is nan, but must be 0 or more"),
-    ],
-)
-def test_bad_input_gets_one_clear_line(
-    argv: list[str], status: int, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    try:
-        assert main(argv) == status
-    except SystemExit as ended:
-        assert ended.code == status
-    said = capsys.readouterr()
-    assert words in said.err
-    assert said.err.count("\n") == 1
-    assert said.out == ""
-
-
 @pytest.mark.parametrize("unit", ["1e300", "-20000"])
 def test_a_cone_that_is_too_far_away_to_be_in_metres_is_refused(
     unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

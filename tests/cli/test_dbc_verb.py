@@ -27,20 +27,3 @@ def test_two_revisions_differ_message_by_message(capsys: pytest.CaptureFixture[s
 def test_a_database_does_not_differ_from_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dbc", "diff", "2026", "2026"]) == 0
     assert capsys.readouterr().out == "no difference\n"
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "error"),
-    [
-        (["show", "nothing"], 1, "no message nothing in 2026"),
-        (["show", "0x513", "nothing"], 1, "no message nothing in 2026"),
-        (["diff", "2021"], 2, "diff takes two databases"),
-        (["list", "--dbc", "/nowhere.dbc"], 1, "/nowhere.dbc"),
-    ],
-)
-def test_what_cannot_be_shown_is_one_line(
-    words: list[str], status: int, error: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dbc", *words]) == status
-    (line,) = capsys.readouterr().err.splitlines()
-    assert error in line

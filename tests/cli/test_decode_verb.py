@@ -37,12 +37,6 @@ def test_each_frame_is_one_line_as_cantools_writes_it(log: Path, capsys: pytest.
     assert capsys.readouterr().out == LINE * 3
 
 
-@pytest.mark.parametrize("verb", ["decode", "dump"])
-def test_a_part_without_frames_is_named(verb: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([verb, str(log), "--from", "500"]) == 1
-    assert capsys.readouterr() == ("", f"fsai-vcu {verb}: no frame of {log} is in that part\n")
-
-
 def test_a_long_log_is_decoded_like_many_short_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chance = random.Random(3)
     ids = [layout.can_id for layout in load_databases().layouts.values()]
@@ -113,29 +107,6 @@ def test_a_broken_log_is_decoded_up_to_the_break_and_fails(tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize(
-    ("argv", "words", "status"),
-    [
-        (["gone.log"], "gone.log: No such file or directory", 1),
-        (["."], ".: no log in this folder", 1),
-        (["nowhere0"], "no CAN interface 'nowhere0'", 1),
-        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory", 1),
-        (["LOG", "--revision", "2030"], "choose one of 2021, 2026", 2),
-        (["EMPTY"], "no frames in it", 1),
-    ],
-)
-def test_what_cannot_be_read_is_one_clear_line(
-    argv: list[str], words: str, status: int, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    empty = log.with_name("empty.log")
-    empty.touch()
-    assert main(["decode", *[{"LOG": str(log), "EMPTY": str(empty)}.get(word, word) for word in argv]]) == status
-    said = capsys.readouterr()
-    assert words in said.err
-    assert said.err.count("\n") == 1
-    assert said.out == ""
-
-
-@pytest.mark.parametrize(
     ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("stats", ""), ("explain", "")]
 )
 def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered: str, log: Path) -> None:
@@ -201,11 +172,3 @@ def test_a_folder_is_one_log_in_the_order_of_time(tmp_path: Path, capsys: pytest
     assert main(["decode", str(tmp_path)]) == 0
     stamps = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert stamps == ["(2.000000)", "(10.000000)"]
-
-
-def test_a_part_without_frames_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "run.log"
-    log.write_text("(1.000000) can0 513#3200\n(2.000000) can0 513#3200\n")
-    for verb in ("check", "explain"):
-        assert main([verb, str(log), "--from", "5"]) == 1
-        assert "is in that part" in capsys.readouterr().err

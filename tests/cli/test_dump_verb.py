@@ -105,26 +105,6 @@ def test_colour_is_for_terminals_or_for_who_asks(log: str, capsys: pytest.Captur
     assert len({line[:5] for line in lines}) == 4, "the VCU, the AI computer, the unknown and errors look alike"
 
 
-@pytest.mark.parametrize(
-    ("argv", "words", "status"),
-    [
-        (["LOG", "-n", "0"], "-n is 0, but at least 1 frame can be shown", 2),
-        (["LOG", "-T", "nan"], "-T is nan, not a time", 2),
-        (["LOG", "-L", "-a"], "-a and -t A do not go with -L", 2),
-        (["LOG", "--signals", "NO_SUCH"], "no signal NO_SUCH", 1),
-        (["LOG,520"], "no filter: '520'; a filter is ID:MASK", 2),
-        (["LOG", "vcan0"], "logs and live interfaces cannot be read together", 2),
-        (["vcan77"], "no CAN interface 'vcan77'", 1),
-    ],
-)
-def test_wrong_use_is_one_clear_line(
-    argv: list[str], words: str, status: int, log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dump", *[word.replace("LOG", log) for word in argv]]) == status
-    said = capsys.readouterr()
-    assert words in said.err and said.err.count("\n") == 1 and said.out == ""
-
-
 def test_changes_of_chosen_signals_are_shown_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "run.log"
     words = ("0000", "0100", "0102", "0002")  # 0x520: HANDSHAKE toggles, then GO_SIGNAL and HANDSHAKE change

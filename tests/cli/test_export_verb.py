@@ -68,32 +68,6 @@ def test_segments_of_a_recording_are_one_log(log: Path) -> None:
     assert [row[1] for row in rows[1:]] == ["10.0", "10.0", "20.0"]
 
 
-@pytest.mark.parametrize(
-    ("argv", "words", "status"),
-    [
-        (["gone.log"], "gone.log: No such file or directory", 1),
-        (["nowhere0"], "nowhere0 is an interface; export reads logs", 2),
-        (["LOG", "--raster", "10ms"], "--raster goes with --wide", 2),
-        (["LOG", "--wide", "--raster", "10"], "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us", 2),
-        (["LOG", "--wide", "--raster", "0ms"], "no raster: '0ms'", 2),
-        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory", 1),
-        (["EMPTY"], "no frames in it", 1),
-        (["LOG,nonsense"], "no filter: 'nonsense'", 2),
-    ],
-)
-def test_an_impossible_export_is_one_line_and_writes_nothing(
-    argv: list[str], words: str, status: int, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    empty = log.with_name("empty.log")
-    empty.touch()
-    out = log.with_name("tables")
-    argv = [word.replace("LOG", str(log)).replace("EMPTY", str(empty)) for word in argv]
-    assert main(["export", *argv, "--to", "csv", "-o", str(out)]) == status
-    said = capsys.readouterr().err
-    assert words in said and said.count("\n") == 1
-    assert {path.name for path in log.parent.iterdir()} == {"run.log", "empty.log"}
-
-
 def test_what_is_there_is_not_mixed_with_what_is_new(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = log.with_name("tables")
     assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 0
@@ -101,12 +75,6 @@ def test_what_is_there_is_not_mixed_with_what_is_new(log: Path, capsys: pytest.C
     assert "is a folder with something in it already; name a new folder" in capsys.readouterr().err
     assert main(["export", str(log), "--to", "mcap", "-o", str(out)]) == 1
     assert capsys.readouterr().err.endswith("is a folder; name a file\n")
-
-
-def test_a_place_that_cannot_be_written_is_one_clear_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(log), "--to", "csv", "-o", "/nonexistent/tables"]) == 1
-    said = capsys.readouterr().err
-    assert said == "fsai-vcu export: cannot write /nonexistent/tables: No such file or directory\n"
 
 
 def only_so_large() -> None:

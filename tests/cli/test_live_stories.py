@@ -60,10 +60,3 @@ def test_a_silent_bus_is_one_clear_line(verb: str, tmp_path: Path, capsys: pytes
 def test_a_live_bus_becomes_a_page(car: None, tmp_path: Path) -> None:
     assert main(["report", NAME, "--seconds", "0.5", "-o", str(tmp_path / "live.html")]) == 0
     assert "EMERGENCY_BRAKE" in (tmp_path / "live.html").read_text()
-
-
-@pytest.mark.parametrize("verb", ["explain", "report", "stats"])
-def test_seconds_that_are_none_are_wrong_use(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = ["-o", str(tmp_path / "x.html")] if verb == "report" else []
-    assert main([verb, NAME, "--seconds", "0", *page]) == 2
-    assert capsys.readouterr().err == f"fsai-vcu {verb}: --seconds is 0, not a time\n"

@@ -103,25 +103,6 @@ def test_a_network_is_opened_by_name_and_said_so(log: str) -> None:
         assert client.getresponse().status == 200
 
 
-@pytest.mark.parametrize(
-    ("argv", "status", "said"),
-    [
-        (["can0", "--loop"], 2, "--rate and --loop are for logs"),
-        (["run.log", "--seconds", "1"], 2, "--seconds is for live buses"),
-        (["run.log", "--rate", "0"], 2, "--rate is 0, but must be 0.01 or more"),
-        (["run.log", "--port", "70000"], 2, "--port is 70000, but must be 0 to 65535"),
-        (["missing.log", "--port", "0"], 1, "missing.log: No such file or directory"),
-        (["missing-bus", "--port", "0"], 1, "missing-bus"),
-    ],
-)
-def test_what_cannot_be_shown_is_one_line(
-    argv: list[str], status: int, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["pitwall", *argv]) == status
-    err = capsys.readouterr().err
-    assert said in err and err.count("\n") == 1
-
-
 def test_a_port_in_use_is_one_line(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -75,32 +75,6 @@ def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
     assert said.splitlines()[-1].endswith(" frames sent")
 
 
-@pytest.mark.parametrize(
-    ("argv", "words", "status"),
-    [
-        (["LOG", "-i", "pcan:PCAN_USBBUS1"], "pcan:PCAN_USBBUS1 may be a real bus, with a car on it", 1),
-        (["LOG", "-i", "nowhere0"], "nowhere0 may be a real bus", 1),
-        (["LOG", "-i", "nowhere0", "--physical"], "no CAN interface 'nowhere0'", 1),
-        (["LOG", "-i", BUS, "--rate", "0"], "--rate is 0, not a rate", 2),
-        (["LOG", "-i", BUS, "--rate", "nan"], "--rate is nan, not a rate", 2),
-        (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, but must be 0 or more", 2),
-        (["LOG", "-i", BUS, "--from", "2", "--to", "1"], "run.log is in that part", 1),
-        (["LOG", "-i", BUS, "--from=-3"], "--from is -3: neither seconds from 0 on", 2),
-        (["LOG", "-i", BUS, "--from", "soon"], "--from is soon: neither seconds from 0 on nor a time such", 2),
-        (["LOG,510:7FF", "-i", BUS], "nothing is left to send", 1),
-        (["vcan0", "-i", BUS], "vcan0 is an interface; replay reads logs", 2),
-        (["gone.log", "-i", BUS], "gone.log: No such file or directory", 1),
-    ],
-)
-def test_what_is_refused_is_one_clear_line(
-    argv: list[str], words: str, status: int, log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["replay", *[word.replace("LOG", log) for word in argv]]) == status
-    said = capsys.readouterr().err.splitlines()
-    assert words in said[-1]
-    assert len([line for line in said if "left out" not in line]) == 1
-
-
 def test_a_broken_log_is_sent_up_to_the_break_and_fails(
     log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
 ) -> None:

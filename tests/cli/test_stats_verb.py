@@ -69,8 +69,3 @@ def test_an_empty_log_is_not_well(tmp_path: Path, capsys: pytest.CaptureFixture[
     said = capsys.readouterr()
     assert said.out == "verdict: NOT OK: no frames\n"
     assert "no frames in it" in said.err
-
-
-def test_wrong_use_is_one_clear_line(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("stats", well, "--bitrate", "0") == 2
-    assert capsys.readouterr().err == "fsai-vcu stats: --bitrate is 0, not a bit rate\n"

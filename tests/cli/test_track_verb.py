@@ -32,23 +32,3 @@ def test_a_track_is_described_in_figures(capsys: pytest.CaptureFixture[str]) -> 
         "tightest radius of the middle of the lane: 10.0 m",
         "lane: 3.5 to 3.5 m wide",
     ]
-
-
-@pytest.mark.parametrize(
-    ("argv", "status", "words"),
-    [
-        ([], 2, "either a file or a name, or --seed N"),
-        (["autocross", "--seed", "1"], 2, "either a file or a name, or --seed N"),
-        (["autocross", "--style", "tight"], 2, "either a file or a name, or --seed N"),
-        (["--seed", "-1"], 1, "generated--1: no such track"),
-        (["gone.csv"], 1, "gone.csv: cannot be read"),
-        (["--seed", "1", "-o", "/no/such/folder.csv"], 1, "/no/such/folder.csv: No such file"),
-        (["--seed", "1", "--plot", "/no/such/folder.png"], 1, "/no/such/folder.png: No such file"),
-    ],
-)
-def test_wrong_use_of_track_is_one_line(
-    argv: list[str], status: int, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["track", *argv]) == status
-    said = capsys.readouterr().err
-    assert words in said and said.count("\n") == 1

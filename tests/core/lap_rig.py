@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fsai_hil.simulator.car import Pose
-from fsai_hil.simulator.sensing import ConeSensor
+from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import Track
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
@@ -24,11 +24,11 @@ DRIFT_RADPM, SCALE = 0.0008, 1.01  # of odometry: some metres in a lap
 class Ride:
     """`step` takes a look, plans, and moves on by `STEP_M`."""
 
-    def __init__(self, track: Track, laps: int = 3, seed: int = 0) -> None:
+    def __init__(self, track: Track, laps: int = 3, sensor: SensorSettings | None = None) -> None:
         self.track = track
         self.pose = track.staging(Ami.TRACKDRIVE, CAR.nose_ahead_of_rear_axle_m)
         self.motion = Motion()
-        self.sensor = ConeSensor(track, seed=seed)
+        self.sensor = ConeSensor(track, sensor)
         self.planner = Planner(CAR, missions=MissionSettings(trackdrive_laps=laps))
         self.planner.reset(Run(1, Ami.TRACKDRIVE))
         for _ in range(3):  # a cone is believed after some looks

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from lap_rig import Ride, clearance_m
 
 from fsai_hil.simulator.car import Pose
-from fsai_hil.simulator.car_signals import CarFeedback
-from fsai_hil.simulator.lockstep import Lockstep, confident
-from fsai_hil.simulator.tracks import Track, acceleration_track, random_circuit, skidpad_track, small_oval
+from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.sensing import SensorSettings
+from fsai_hil.simulator.tracks import acceleration_track, random_circuit
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
@@ -22,54 +22,17 @@ from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
 
-OVAL, WINDING, STRAIGHT = small_oval(), random_circuit(1), acceleration_track()
+WINDING, STRAIGHT = random_circuit(1), acceleration_track()
 NOSE_M = ADS_DV_2026.nose_ahead_of_rear_axle_m
 FINISH_M = 75.0  # of STRAIGHT
 BIG = int(ConeColor.BIG_ORANGE)
 
 
-def unsure(seen: ConeObservation) -> ConeObservation:
-    """A detector that reports false cones, too."""
-    return seen
-
-
-def colorless(seen: ConeObservation) -> ConeObservation:
-    """A detector that sees no colours."""
-    return replace(confident(seen), color=np.zeros_like(confident(seen).color))
-
-
-def drive(
-    mission: Ami,
-    track: Track,
-    detector: Callable[[ConeObservation], ConeObservation] = confident,
-    sensors: Callable[[CarFeedback, int], CarFeedback] | None = None,
-    watch: Callable[[Lockstep, VehicleCommand], None] = lambda *_: None,
-    **setup: Any,
-) -> Lockstep:
-    """A mission driven on the simulated car to its end, without a cone hit; everybody's work in it is at its worst."""
-    lockstep = Lockstep(WorldSetup(missions=[mission], track=track, gps=False, laps=2, **setup))
-    lockstep.detector = detector
-    if sensors is not None:
-        lockstep.world.sensor_faults.append(sensors)
-
-    def look(command: VehicleCommand, _now_ns: int) -> VehicleCommand:
-        watch(lockstep, command)
-        return command
-
-    lockstep.computer.command_filter = look
-    verdict = lockstep.run().verdict
-    assert verdict.passed and verdict.cones_hit == 0, verdict.reasons
-    return lockstep
-
-
 def test_a_winding_lane_is_kept_to_without_colours() -> None:
-    assert drive(Ami.AUTOCROSS, WINDING, colorless).world.verdict().off_course == 0
-
-
-def test_laps_without_a_gate_count_at_the_return_to_the_start() -> None:
-    cones = OVAL.cone_colors != BIG
-    track = replace(OVAL, cones_xy_m=OVAL.cones_xy_m[cones], cone_colors=OVAL.cone_colors[cones])
-    drive(Ami.TRACKDRIVE, track, unsure, revision="2021")
+    ride = Ride(WINDING, laps=1, sensor=SensorSettings(colours=False))
+    while not ride.step().finished:
+        assert clearance_m(ride.pose, WINDING.cones_xy_m) > 0.0 and ride.motion.distance_m < 1.2 * WINDING.length_m
+    assert ride.motion.distance_m > WINDING.length_m
 
 
 def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
@@ -87,41 +50,28 @@ def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
         assert plan is not None and (plan.laps, plan.finished) == (0, False)
 
 
-def test_acceleration_goes_straight_from_an_oblique_start() -> None:
-    start = Pose(-0.3 - NOSE_M, 0.2, 0.03)
-    driven = drive(Ami.ACCELERATION, replace(STRAIGHT, car_start=start)).world.run.samples
-    assert max(abs(point.y_m) for point in driven if point.x_m > 30.0) < 0.4
-
-
-def test_acceleration_has_full_throttle_to_the_finish() -> None:
-    asked: list[tuple[float, float, float]] = []
-
-    def watch(lockstep: Lockstep, command: VehicleCommand) -> None:
-        asked.append((lockstep.world.car.pose.x_m, command.throttle, command.brake))
-
-    drive(Ami.ACCELERATION, STRAIGHT, watch=watch)
-    meanwhile = [pedals for x, *pedals in asked if 0.5 - NOSE_M < x < FINISH_M - 2.5]
-    assert len(meanwhile) > 100 and all(throttle > 0.95 and brake == 0.0 for throttle, brake in meanwhile)
-
-
-def test_cones_that_close_the_exit_lane_are_not_driven_over() -> None:
+def test_acceleration_is_straight_at_full_throttle_and_ends() -> None:
+    """From an oblique start, and where cones close the exit lane before its end."""
     wall = np.array([[FINISH_M + 24.5, y] for y in (-0.75, 0.0, 0.75)])
     shorter = STRAIGHT.cones_xy_m[:, 0] < FINISH_M + 25.0
     xy = np.vstack((STRAIGHT.cones_xy_m[shorter], wall))
     color = np.concatenate((STRAIGHT.cone_colors[shorter], [int(ConeColor.ORANGE)] * 3))
-    drive(Ami.ACCELERATION, replace(STRAIGHT, cones_xy_m=xy, cone_colors=color))
+    start = Pose(-0.3 - NOSE_M, 0.2, 0.03)
+    asked: list[tuple[float, float, float]] = []
 
+    def watch(command: VehicleCommand, _now_ns: int) -> VehicleCommand:
+        asked.append((lockstep.world.car.pose.x_m, command.throttle, command.brake))
+        return command
 
-def drifting(feedback: CarFeedback, _now_ns: int) -> CarFeedback:
-    """Wheels that are 3 % smaller than thought."""
-    fl, fr, rl, rr = (1.03 * rpm for rpm in feedback.wheel_rpm)
-    return replace(feedback, wheel_rpm=(fl, fr, rl, rr))
-
-
-@pytest.mark.parametrize(("back_m", "detector", "sensors"), [(2.8, confident, drifting), (-2.7, colorless, None)])
-def test_skidpad_is_found_from_a_displaced_start_and_in_drift(back_m: float, detector: Any, sensors: Any) -> None:
-    start = Pose(-15.0 - NOSE_M - back_m, 0.0, 0.0)
-    assert drive(Ami.SKIDPAD, replace(skidpad_track(), car_start=start), detector, sensors).world.run.judge.laps == 4
+    track = replace(STRAIGHT, cones_xy_m=xy, cone_colors=color, car_start=start)
+    lockstep = Lockstep(WorldSetup(missions=[Ami.ACCELERATION], track=track, gps=False))
+    lockstep.computer.command_filter = watch
+    verdict = lockstep.run().verdict
+    assert verdict.passed and verdict.cones_hit == 0, verdict.reasons
+    driven = lockstep.world.run.samples
+    assert max(abs(point.y_m) for point in driven if point.x_m > 30.0) < 0.4
+    meanwhile = [pedals for x, *pedals in asked if 0.5 - NOSE_M < x < FINISH_M - 2.5]
+    assert len(meanwhile) > 100 and all(throttle > 0.95 and brake == 0.0 for throttle, brake in meanwhile)
 
 
 @pytest.mark.parametrize("mission", [Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO])

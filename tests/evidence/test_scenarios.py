@@ -9,28 +9,22 @@ from typing import Any
 import pytest
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, Since
-from fsai_hil.evidence.campaign.runner import drive_batch
-from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, drive_to, power_up, run_case
+from fsai_hil.evidence.campaign.runner import SNAPSHOTS, drive_batch
+from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, run_case
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
-
-
-@pytest.fixture(scope="module")
-def snapshots() -> Snapshots:
-    return Snapshots()
 
 
 def case(fault: str, mission: Ami = Ami.ACCELERATION, after_ms: int = 3500, **params: object) -> Case:
     return Case(fault, mission, "2026", 0, Since.DRIVING, after_ms, {"chance": 3, **params})
 
 
-def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up(snapshots: Snapshots) -> None:
+def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
     one = case("detector_inventing", Ami.AUTOCROSS, duration=800, count=12)  # chance of detector, planner and fault
+    snapshots = Snapshots()
     copied = [Scenario(one, snapshots.rig(one), 1000) for _ in range(2)]
-    rig = power_up(one.world)
     assert one.leg_ms is not None
-    drive_to(rig, one.leg_ms)
-    whole = Scenario(one, rig, 1000)
+    whole = Scenario(one, snapshots._driven(one.world, one.leg_ms), 1000)  # what was driven there, and no copy
     for scenario in (*copied, whole):
         while not scenario.over:
             scenario.step()
@@ -52,22 +46,22 @@ def _untimed(line: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in line.items() if name != "wall_s"}
 
 
-def test_a_run_ends_early_once_nothing_can_happen_any_more(snapshots: Snapshots) -> None:
-    line = run_case(case("emergency_asked"), snapshots)
+def test_a_run_ends_early_once_nothing_can_happen_any_more() -> None:
+    line = run_case(case("emergency_asked"), SNAPSHOTS)
     assert line["verdict"] == "ok" and line["end"] == "ESTOP"
     assert line["sim_s"] < 5.0
 
 
-def test_a_full_length_run_goes_from_power_up_to_the_end(snapshots: Snapshots) -> None:
+def test_a_full_length_run_goes_from_power_up_to_the_end() -> None:
     one = Case("go_off", Ami.ACCELERATION, "2021", 0, Since.READY, 3000, {"chance": 0}, full=True)
-    line = run_case(one, snapshots)
+    line = run_case(one, SNAPSHOTS)
     assert line["verdict"] == "ok" and not line["applies"]
     assert line["sim_s"] > 15.0
 
 
-def test_a_replay_is_the_recorded_run(capsys: pytest.CaptureFixture[str], snapshots: Snapshots) -> None:
+def test_a_replay_is_the_recorded_run(capsys: pytest.CaptureFixture[str]) -> None:
     plan = CampaignPlan(1, 1, 0, ("manual_asked",), (Ami.ACCELERATION,), ("2026",), 1)
-    recorded = run_case(plan.case(0), snapshots)
+    recorded = run_case(plan.case(0), SNAPSHOTS)
     arguments = recorded["replay"].split()[1:]
     assert main([*arguments, "--json"]) == 0
     replayed = json.loads(capsys.readouterr().out)
@@ -86,23 +80,6 @@ def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys:
     assert "bridge stops the car because the vehicle command is stale" in printed
     assert "car: AS_FINISHED (mission FINISHED at rest)" in printed
     assert "seen: service-brake stop, FINISHED" in printed
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["--fault", "nothing"], "unknown fault 'nothing': --list-faults shows"),
-        (["--fault", "go_off", "--track", "small_oval"], "--track does not go with --fault"),
-        (["--fault", "go_off", "--noise", "2"], "do not go with --fault"),
-        (["--fault", "go_off", "--mission", "picnic"], "unknown mission 'picnic'"),
-    ],
-)
-def test_what_cannot_be_driven_is_one_clear_line(
-    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["drive", *arguments]) == 1
-    error = capsys.readouterr().err
-    assert complaint in error and error.count("\n") == 1
 
 
 def test_the_catalogue_is_listed_for_people(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from fsai_hil.evidence.__main__ import main
 from fsai_hil.evidence.abstraction import NOW
 from fsai_hil.evidence.model import Composition, Scope, State
 from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
-from fsai_hil.evidence.search import Move, explore
+from fsai_hil.evidence.search import Move, Search, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.rules.checker import RULES
 from fsai_hil.rules.numbers import CYCLE_NS
@@ -78,23 +78,23 @@ def reduced() -> Scope:
     return Scope("reduced", "", choices, len(choices), len(PATH), endings=ENDINGS)
 
 
-def reached(model: Composition, most: int) -> list[State]:
-    """The states nearest to the beginning."""
-    states = [model.initial()]
-    seen = set(states)
-    for state in states:
-        if len(states) >= most:
-            break
-        for move in model.moves(state):
-            if move.target not in seen:
-                seen.add(move.target)
-                states.append(move.target)
-    return states
-
-
-def test_in_a_reduced_scope_rules_hold_and_states_end_safely() -> None:
+@pytest.fixture(scope="module")
+def searched() -> tuple[Composition, Search, list[Move]]:
+    """The reduced scope, what its search found, and every move in it."""
     model = Composition(reduced())
-    found = explore(model, bounds_ns=dict.fromkeys(ENDINGS, 5_000_000_000))
+    moves: list[Move] = []
+
+    def noted(state: State) -> Iterable[Move]:
+        for move in Composition.moves(model, state):
+            moves.append(move)
+            yield move
+
+    model.moves = noted  # type: ignore[method-assign]
+    return model, explore(model, bounds_ns=dict.fromkeys(ENDINGS, 5_000_000_000)), moves
+
+
+def test_in_a_reduced_scope_rules_hold_and_states_end_safely(searched: tuple[Composition, Search, list[Move]]) -> None:
+    model, found, _ = searched
     assert found.problems == ()
     assert found.states > 500
     assert set(found.bounds_ns) == set(ENDINGS)
@@ -105,9 +105,8 @@ def test_in_a_reduced_scope_rules_hold_and_states_end_safely() -> None:
     )
 
 
-def test_the_search_drives_and_sees_both_sides_of_each_timer() -> None:
-    model = Composition(reduced())
-    moves = [move for state in reached(model, 1000) for move in model.moves(state)]
+def test_the_search_drives_and_sees_both_sides_of_each_timer(searched: tuple[Composition, Search, list[Move]]) -> None:
+    *_, moves = searched
     waits = {move.duration_ns for move in moves}
     assert any(move.seen and cast(Any, move.seen).torque_requested for move in moves)
     for edge_ns in (50_000_000, 100_000_000, 500_000_000, 3_000_000_000, 5_000_000_000):
@@ -138,19 +137,41 @@ def test_if_as_driving_is_never_left_a_stop_request_is_the_end() -> None:
     assert all(0 < bound_ns <= 5_000_000_000 for bound_ns in found.bounds_ns.values())
 
 
+def reached(model: Composition, chance: random.Random) -> list[State]:
+    """States on the way into AS_DRIVING, and off it by whatever else may happen on it."""
+    states = [model.initial()]
+    known = set(states)
+
+    def go_on(state: State, label: int) -> None:
+        for move in model.moves_under(label, state, model.bridge_of(state)):
+            if move.target not in known:
+                known.add(cast(State, move.target))
+                states.append(cast(State, move.target))
+
+    for state in states:  # which grows meanwhile
+        for label in range(len(PATH) if len(states) < 200 else 0):
+            go_on(state, label)
+    for _ in range(1000):
+        state = chance.choice(states)
+        go_on(state, chance.choice(model.labels(state, model.bridge_of(state))))
+    return states
+
+
 @pytest.mark.parametrize("name", ["commands", "sends", "trouble", "power cycle", "wheel speeds"])
 def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
     """A bridge that is saved and put back in each cycle sends what one that lives on sends, until an age is rounded."""
     chance = random.Random(name)
     model, living = Composition(scope(name)), Composition(scope(name))
-    states = reached(model, 1000)
+    states = reached(model, chance)
     driven = [state for state in states if model.bridge_of(state).gate.torque_running]
     sent = torque = 0
     for state in (*chance.sample(states, 80), *chance.sample(driven, min(20, len(driven)))):
         held: State = state
         living._load(state)
+        kept = chance.random() < 0.5  # what is kept up runs timers out
         for step in range(12):
-            choice = model.choices[chance.randrange(len(model.choices))]
+            if not (kept and step):
+                choice = model.choices[chance.randrange(len(model.choices))]
             # Ages go on as they are: compared is what is forgotten, not what is rounded.
             (disc, ages), _, asked = model._cycle(held, choice, CYCLE_NS)
             held = disc, tuple(ages)

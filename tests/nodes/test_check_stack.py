@@ -14,6 +14,7 @@ from ros_rig import RosRig
 
 from fsai_nodes import qos
 from fsai_vcu.cli.check_stack import ends_of
+from fsai_vcu.cli.main import main
 
 
 def test_a_reader_that_does_not_hear_a_publisher_is_found(rig: RosRig) -> None:
@@ -26,13 +27,12 @@ def test_a_reader_that_does_not_hear_a_publisher_is_found(rig: RosRig) -> None:
     assert ends.deaf == [("ours", "team", "volatile publisher and transient local subscription")]
 
 
-def test_the_verb_says_it_in_lines_in_json_and_by_its_status() -> None:
-    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "check-stack", "--wait", "1", "--namespace", "/nobody"]
-    said = subprocess.run(argv, capture_output=True, text=True)
-    assert (
-        said.returncode == 1 and "/vehicle_cmd: nothing was received\n    it comes from the controller" in said.stdout
-    )
-    told = json.loads(subprocess.run([*argv, "--json"], capture_output=True, text=True).stdout)
+def test_the_verb_says_it_in_lines_in_json_and_by_its_status(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["check-stack", "--wait", "0.5", "--namespace", "/nobody"]
+    assert main(argv) == 1
+    assert "/vehicle_cmd: nothing was received\n    it comes from the controller" in capsys.readouterr().out
+    assert main([*argv, "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
     assert [each["topic"] for each in told["wrong"]] == ["vehicle_cmd", "vehicle_state", "run_state"]
 
 
@@ -44,7 +44,7 @@ def test_the_verb_tells_a_good_stack_from_a_bad_one(rig: RosRig, brake: float) -
     for role in ("planner", "controller"):
         confirmations.publish(ResetConfirmation(role=role, run_id=7))
     rig.announce()
-    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "check-stack", "--seconds", "3", "--json"]
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "check-stack", "--seconds", "1.5", "--json"]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
             for publisher, kind in ((commands, VehicleCommand), (states, VehicleState)):

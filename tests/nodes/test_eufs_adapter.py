@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,7 +10,7 @@ from ackermann_msgs.msg import AckermannDriveStamped
 from eufs_msgs.msg import CanState, CarState, ConeArrayWithCovariance, VehicleCommandsStamped, WheelSpeedsStamped
 from eufs_msgs.srv import SetCanState
 from fsai_msgs.msg import Cone, ConeArray, ResetConfirmation, VehicleCommand, VehicleState
-from ros_rig import RosRig
+from ros_rig import RosRig, driven
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
@@ -182,10 +180,5 @@ def test_services_by_eufs_names_are_the_bridges(rig: RosRig) -> None:
 
 
 def test_an_eufs_stack_drives_the_acceleration_to_as_finished(tmp_path: Path) -> None:
-    """Real processes, the simulated car, its judge, and the rules on the wire."""
-    words = ["--mission", "acceleration", "--out", str(tmp_path), "--without", "path_planner,vehicle_controller"]
-    words += ["--with", "fsai_nodes.eufs_adapter", "--with", str(Path(__file__).with_name("eufs_stack.py"))]
-    argv = [sys.executable, "-m", "fsai_hil.rehearsal.demo", "--bus", f"loopback:{tmp_path.name}", *words]
-    said = subprocess.run(argv, capture_output=True, text=True)
-    assert said.returncode == 0, said.stdout + said.stderr
-    assert "AS_FINISHED reached" in said.stdout and "acceleration: PASS" in said.stdout
+    programs = ("--with", "fsai_nodes.eufs_adapter", "--with", str(Path(__file__).with_name("eufs_stack.py")))
+    assert "acceleration: PASS" in driven(tmp_path, "--mission", "acceleration", *programs)

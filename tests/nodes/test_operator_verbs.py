@@ -11,16 +11,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 
 LONG_S = 60.0
-
-
-def verb(*arguments: str) -> subprocess.CompletedProcess[str]:
-    argv = [sys.executable, "-m", "fsai_vcu.cli.main", *arguments]
-    return subprocess.run(argv, capture_output=True, text=True, timeout=LONG_S)
 
 
 @pytest.fixture
@@ -37,23 +33,26 @@ def bridge(bus: str) -> Iterator[subprocess.Popen[bytes]]:
     process.wait(LONG_S)
 
 
-def test_the_emergency_brake_is_asked_for_and_reset_by_verbs(bridge: subprocess.Popen[bytes], bus: str) -> None:
+def test_the_emergency_brake_is_asked_for_and_reset_by_verbs(
+    bridge: subprocess.Popen[bytes], bus: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     from ros_rig import ScriptedVcu
 
-    asked = verb("emergency-brake", "--namespace", "/car1", "--json")
-    assert json.loads(asked.stdout) == {"success": True, "message": "ESTOP_REQUEST is latched"}
-    refused = verb("reset", "--namespace", "/car1")  # no car has said its AS state
-    assert refused.returncode == 1 and refused.stdout == ""
-    assert refused.stderr.count("\n") == 1 and refused.stderr.startswith("reset refused: ")
+    def verb(*arguments: str, namespace: str = "/car1") -> tuple[int, str, str]:
+        status = main([*arguments, "--namespace", namespace])
+        return (status, *capsys.readouterr())
+
+    assert json.loads(verb("emergency-brake", "--json")[1]) == {"success": True, "message": "ESTOP_REQUEST is latched"}
+    status, out, err = verb("reset")  # no car has said its AS state
+    assert (status, out, err.count("\n")) == (1, "", 1) and err.startswith("reset refused: ")
     with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)) as car:
-        assert json.loads(verb("status", "--namespace", "car1", "--json").stdout)["emergency"]
+        assert json.loads(verb("status", "--json", namespace="car1")[1])["emergency"]
         assert car.last_status().estop_request
-        cleared = verb("reset", "--namespace", "/car1", "--json")
-        assert (cleared.returncode, cleared.stderr) == (0, "")
-        assert json.loads(cleared.stdout).keys() == {"success", "message"}
+        status, out, err = verb("reset", "--json")
+        assert (status, err) == (0, "") and json.loads(out).keys() == {"success", "message"}
         assert not car.last_status().estop_request
-        refused = verb("mode", "sport", "--namespace", "/car1")
-        assert refused.returncode == 1 and "autonomous" in refused.stderr
+        status, _, err = verb("mode", "sport")
+        assert status == 1 and "autonomous" in err
 
 
 def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
@@ -63,7 +62,8 @@ def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
 
     with RosRig() as rig:
         rig.start(VcuBridge, can_interface=bus, real_time=False)
-        said = verb("reset", "--wait", "4")  # meanwhile nobody lets the node answer
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", "reset", "--wait", "4"]
+        said = subprocess.run(argv, capture_output=True, text=True)  # meanwhile nobody lets the node answer
     assert said.returncode == 1
     assert said.stderr == "fsai-vcu reset: the bridge offers /reset, but did not answer within 4 s; does it hang?\n"
 
@@ -78,10 +78,13 @@ def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
         (["reset", "--namespace", "car two"], "fsai-vcu reset: --namespace car two: that is no ROS namespace"),
     ],
 )
-def test_without_a_bridge_every_verb_says_so_in_one_line(argv: list[str], words: str) -> None:
-    said = verb(*argv, "--wait", "0.5")
-    assert said.returncode == 1 and said.stdout == ""
-    assert said.stderr.startswith(words) and said.stderr.count("\n") == 1, said.stderr
+def test_without_a_bridge_every_verb_says_so_in_one_line(
+    argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*argv, "--wait", "0.5"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(words) and said.err.count("\n") == 1, said.err
 
 
 @pytest.mark.parametrize("name", ["reset", "status"])

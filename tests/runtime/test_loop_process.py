@@ -20,8 +20,23 @@ from fsai_vcu.runtime.link import LoopSettings
 from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process
 
 
+@pytest.fixture(scope="module")
+def lasting() -> Iterator[LoopHandle]:
+    """One that goes on from test to test, each on a bus of its own."""
+    handle = start_loop_process("loopback:lasting")
+    yield handle
+    handle.close()
+
+
+@pytest.fixture
+def loop(lasting: LoopHandle) -> Iterator[LoopHandle]:
+    yield lasting
+    assert lasting.deactivate()
+
+
 @pytest.fixture
 def process(spec: str) -> Iterator[LoopHandle]:
+    """One that may be ended."""
     handle = start_loop_process(spec)
     yield handle
     handle.close()
@@ -36,36 +51,36 @@ def process_of(handle: LoopHandle) -> subprocess.Popen[bytes]:
     return handle._process
 
 
-def test_it_answers_the_car_and_reports_it(process: LoopHandle, spec: str) -> None:
-    process.configure(settings(spec))
-    process.activate(7)
+def test_it_answers_the_car_and_reports_it(loop: LoopHandle, spec: str) -> None:
+    loop.configure(settings(spec))
+    loop.activate(7)
     with open_bus(spec) as car:
         for bit in (True, False, True):
             car.send(CODEC.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)))
             while status_received(car).handshake is not bit:
                 pass
-    assert eventually(lambda: process.report().run.as_state is AsState.AS_OFF)
-    assert process.report().run.run_id == 7
-    assert process.set_mode("autonomous") == (True, "mode is autonomous")
+    assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
+    assert loop.report().run.run_id == 7
+    assert loop.set_mode("autonomous") == (True, "mode is autonomous")
 
 
-def test_neither_ros_nor_its_middleware_is_in_it(process: LoopHandle, spec: str) -> None:
-    process.configure(settings(spec))
-    process.activate(1)
-    mapped = Path(f"/proc/{process.pid}/maps").read_text()
+def test_neither_ros_nor_its_middleware_is_in_it(loop: LoopHandle, spec: str) -> None:
+    loop.configure(settings(spec))
+    loop.activate(1)
+    mapped = Path(f"/proc/{loop.pid}/maps").read_text()
     assert not [name for name in ("rclpy", "librcl", "librmw", "fastrtps", "fastdds") if name in mapped]
 
 
-def test_it_is_activated_again_after_its_end(process: LoopHandle, spec: str) -> None:
-    process.configure(settings(spec))
+def test_it_is_activated_again_after_its_end(loop: LoopHandle, spec: str) -> None:
+    loop.configure(settings(spec))
     with open_bus(spec) as car:
         for _ in range(2):
-            process.activate(1)
+            loop.activate(1)
             status_received(car)
-            assert process.deactivate()
+            assert loop.deactivate()
             drop_all(car)
             assert car.recv(0.1) is None
-    assert process.failure == ""
+    assert loop.failure == ""
 
 
 @pytest.mark.parametrize(
@@ -76,43 +91,43 @@ def test_it_is_activated_again_after_its_end(process: LoopHandle, spec: str) -> 
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(
-    process: LoopHandle, spec: str, changes: dict[str, object], line: str
+    loop: LoopHandle, spec: str, changes: dict[str, object], line: str
 ) -> None:
     with pytest.raises(LoopError, match=line) as refused:
-        process.configure(settings(spec, **changes))
+        loop.configure(settings(spec, **changes))
     assert "\n" not in str(refused.value)
 
 
-def test_an_absent_bus_is_refused_and_may_come_later(process: LoopHandle) -> None:
-    process.configure(settings("can98"))
+def test_an_absent_bus_is_refused_and_may_come_later(loop: LoopHandle) -> None:
+    loop.configure(settings("can98"))
     for _ in range(2):
         with pytest.raises(LoopError, match="no CAN interface 'can98'"):
-            process.activate(1)
-    assert process_of(process).poll() is None
+            loop.activate(1)
+    assert process_of(loop).poll() is None
 
 
-def test_the_second_on_an_interface_is_refused_by_name(process: LoopHandle, spec: str) -> None:
-    process.configure(settings(spec))
-    process.activate(1)
+def test_the_second_on_an_interface_is_refused_by_name(loop: LoopHandle, spec: str) -> None:
+    loop.configure(settings(spec))
+    loop.activate(1)
     second = start_loop_process(spec)
     try:
         second.configure(settings(spec))
-        with pytest.raises(LoopError, match=rf"another bridge \(process {process.pid}\) already drives"):
+        with pytest.raises(LoopError, match=rf"another bridge \(process {loop.pid}\) already drives"):
             second.activate(1)
     finally:
         second.close()
 
 
-def test_signals_to_the_whole_group_do_not_end_it(process: LoopHandle, spec: str) -> None:
+def test_signals_to_the_whole_group_do_not_end_it(loop: LoopHandle, spec: str) -> None:
     """Ctrl-C and a service manager's SIGTERM reach every process; what they mean is the edge's to say."""
-    process.configure(settings(spec))
-    process.activate(1)
+    loop.configure(settings(spec))
+    loop.activate(1)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(process_of(process).pid, number)
+        os.kill(process_of(loop).pid, number)
     with open_bus(spec) as car:
         for _ in range(5):
             status_received(car)
-    assert process.running
+    assert loop.running
 
 
 def test_a_killed_loop_is_noticed_with_its_signal(process: LoopHandle, spec: str) -> None:

@@ -177,37 +177,6 @@ def test_limits_are_stored_beside_the_log_and_silence_fails(tmp_path: Path, caps
     assert any("5" in line for line in about["operational_limits"]["in_force"])
 
 
-@pytest.mark.parametrize(
-    ("status", "arguments", "words"),
-    [
-        (2, ["-o", "run.log", "--max-total", "1G"], "--max-total goes with a folder, and run.log is to be a file"),
-        (2, ["-o", "run", "--max-total", "much"], "--max-total is 'much', not a size like 64M or 4G"),
-        (2, ["-o", "run", "--max-total", "10K"], "--max-total is 10K, but less than 1M is no recording"),
-        (2, ["-o", "run", "--segment-time", "5"], "--segment-time is '5', not a time like 30s, 10min or 1h"),
-        (2, ["-o", "run.log", "--seconds", "-1"], "--seconds is -1, but must be 0 or more"),
-        (2, ["-o", "run", "--ros"], "--ros goes with --mcap"),
-        (2, ["-o", "run", "--topic", "/x"], "--topic goes with --ros"),
-        (1, ["-o", "run.log", "--limits", "gone.toml"], "cannot read the operational limits gone.toml: No such file"),
-        (1, ["-o", "run.log", "--revision", "1999"], "choose one of 2021, 2026"),
-        (1, ["-o", "here.log"], "here.log is there already; name another file, or a folder to go on in"),
-    ],
-)
-def test_what_cannot_be_recorded_is_one_clear_line(
-    status: int,
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("here.log").write_text("precious")
-    assert main(["record", "-i", f"loopback:{BUS}", *arguments]) == status
-    said = capsys.readouterr().err
-    assert words in said and said.count("\n") == 1
-    assert Path("here.log").read_text() == "precious"
-
-
 def test_without_ros_one_line_says_what_is_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -404,33 +404,41 @@ class Composition:
         return not self._table_runs and told_to_stop and not (front or rear)
 
     def moves(self, state: State) -> Iterable[Move]:
+        bridge = self.bridge_of(state)
+        for label in self.labels(state, bridge):
+            yield from self.moves_under(label, state, bridge)
+
+    def labels(self, state: State, bridge: BridgeState) -> range:
+        """What the environment may choose in a state."""
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
         listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self.scope.path
         count = len(self.choices) if driving else self.scope.path if listening else self.scope.anywhere
         braked = state[0][1][0] is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
-        bridge = self.bridge_of(state)
         if self.scope.path and (braked or bridge.stop_cycles_left == 0):
             count = self.scope.path  # the car brakes by itself for good, or the software has stopped for good
-        for label in range(count):
-            choice = self.choices[label]
-            (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS, bridge)
-            target = disc, self._rounded(raw)
-            if problems or target != state:
-                yield Move(label, CYCLE_NS, target, problems, asked)
-                continue
-            waits = self._waits(state[1], raw)
-            if not waits:
-                yield Move(label, CYCLE_NS, target, (), asked)
-            for wait_ns in waits:
-                step_ns = min(CYCLE_NS, wait_ns)
-                ages = state[1]
-                if wait_ns > step_ns:
-                    # An age that grew in the cycle just tried grows for as long as the same choice is kept up.
-                    grown_ns = wait_ns - step_ns
-                    both = zip(ages, raw, strict=True)
-                    ages = tuple([old + grown_ns if old >= 0 and new == old + CYCLE_NS else old for old, new in both])
-                (disc, later), problems, asked = self._cycle((state[0], ages), choice, step_ns)
-                yield Move(label, wait_ns, (disc, self._rounded(later)), problems, asked)
+        return range(count)
+
+    def moves_under(self, label: int, state: State, bridge: BridgeState) -> Iterable[Move]:
+        """What one choice brings: the next cycle, or, where that changes nothing, the next timers."""
+        choice = self.choices[label]
+        (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS, bridge)
+        target = disc, self._rounded(raw)
+        if problems or target != state:
+            yield Move(label, CYCLE_NS, target, problems, asked)
+            return
+        waits = self._waits(state[1], raw)
+        if not waits:
+            yield Move(label, CYCLE_NS, target, (), asked)
+        for wait_ns in waits:
+            step_ns = min(CYCLE_NS, wait_ns)
+            ages = state[1]
+            if wait_ns > step_ns:
+                # An age that grew in the cycle just tried grows for as long as the same choice is kept up.
+                grown_ns = wait_ns - step_ns
+                both = zip(ages, raw, strict=True)
+                ages = tuple([old + grown_ns if old >= 0 and new == old + CYCLE_NS else old for old, new in both])
+            (disc, later), problems, asked = self._cycle((state[0], ages), choice, step_ns)
+            yield Move(label, wait_ns, (disc, self._rounded(later)), problems, asked)
 
     def _waits(self, ages: tuple[int, ...], raw: Sequence[int]) -> tuple[int, ...]:
         """How long until the next timer has run for T - 1 ns and for T; none if no timer runs that has not run out."""

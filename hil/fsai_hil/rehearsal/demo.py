@@ -44,6 +44,7 @@ def main() -> int:
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
     parser.add_argument("--own-vcan", action="store_true", help=argparse.SUPPRESS)  # it runs in a network of its own
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
+    parser.add_argument("--no-gps", action="store_true", help="a car without the PCAN-GPS")
     parser.add_argument("--without", default="", metavar="NODE,...", help=f"leave out, of {', '.join(REPLACEABLE)}")
     parser.add_argument("--with", dest="others", action="append", default=[], metavar="FILE.py|MODULE", help=WITH_HELP)
     args = parser.parse_args()
@@ -128,7 +129,7 @@ def drive(args: argparse.Namespace) -> int:
         try:
             operator.await_bridge(START_TIMEOUT_S)
             options = {name: getattr(args, name) for name in ("mission", "revision", "seed", "laps", "track")}
-            options |= {"result": verdict, "plot": plot}
+            options |= {"result": verdict, "plot": plot, "no-gps": args.no_gps}
             vcu = stack.start_verb("vcu", *simulated_car(bus, stack.truth_port, options))
             _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
             result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *nodes)

@@ -30,10 +30,11 @@ class StackError(Exception):
 def simulated_car(bus: str, truth_port: int, options: Mapping[str, object]) -> list[str]:
     """The words of `fsai-vcu` that start the car: it walks its switches, drives a mission, gives a verdict and ends.
 
-    options: more of `fsai-vcu vcu`, by name; None leaves one out.
+    options: more of `fsai-vcu vcu`, by name; None and False leave one out, True is one without a value.
     """
     words = ["vcu", "-i", bus, "--auto", "--truth", str(truth_port)]
-    return words + [f"--{name}={value}" for name, value in options.items() if value is not None]
+    given = {name: value for name, value in options.items() if value is not None and value is not False}
+    return words + [f"--{name}" + ("" if value is True else f"={value}") for name, value in given.items()]
 
 
 def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:

@@ -180,7 +180,7 @@ def drawn(kind: FaultKind, rng: random.Random, given: Mapping[str, Any] | None =
     return {**values, **(given or {})}
 
 
-def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, full: bool, index: int = 0) -> Case:
+def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, full: bool) -> Case:
     """A case from `NAME[:since=…,after=MS,parameter=value,…]`; what is not given is drawn by `seed`.
 
     Raises ValueError, with one clear line, for anything that cannot be meant.
@@ -209,4 +209,4 @@ def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, 
         raise ValueError(f"fault {name} does not apply to revision {revision}: only to {', '.join(kind.revisions)}")
     if after_ms is None:
         after_ms = rng.randint(3050, 3000 + LEG_MS) if since is Since.DRIVING else rng.randint(0, 2000)
-    return Case(kind.name, mission, revision, seed, since, after_ms, values, full, index)
+    return Case(kind.name, mission, revision, seed, since, after_ms, values, full)

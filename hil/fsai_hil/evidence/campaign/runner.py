@@ -36,16 +36,17 @@ def header_of(plan: CampaignPlan) -> Header:
     }
 
 
-_SNAPSHOTS: Final = Snapshots()
+SNAPSHOTS: Final = Snapshots()
+"""Of this process, kept between batches."""
 
 
 def drive_batch(plan: CampaignPlan, tasks: Sequence[Task]) -> list[dict[str, Any]]:
-    """The lines of some cases. Each process keeps its snapshots between batches."""
+    """The lines of some cases."""
     lines = []
     for full, index in tasks:
         case = plan.case(index, full=full)
         began = time.monotonic()
-        line = run_case(case, _SNAPSHOTS, plan.window_ms)
+        line = run_case(case, SNAPSHOTS, plan.window_ms)
         line["wall_s"] = round(time.monotonic() - began, 3)
         lines.append(line)
     return lines

@@ -64,7 +64,7 @@ class Snapshots:
         return power_up(world, None if self._new_log is None else self._new_log())
 
 
-def drive_to(rig: Lockstep, leg_ms: int, look: Callable[[Lockstep], None] | None = None) -> None:
+def drive_to(rig: Lockstep, leg_ms: int) -> None:
     """Drive on until the car has been in AS_DRIVING for so long. Raises RuntimeError if it never is."""
     while True:
         began_ns = moment_ns(rig, Since.DRIVING)
@@ -73,8 +73,6 @@ def drive_to(rig: Lockstep, leg_ms: int, look: Callable[[Lockstep], None] | None
         if rig.now_ns > LONGEST_MS * MS:
             raise RuntimeError("the car does not come to AS_DRIVING by itself")
         rig.step()
-        if look is not None:
-            look(rig)
 
 
 def moment_ns(rig: Lockstep, since: Since) -> int | None:

@@ -1,0 +1,153 @@
+"""What is typed wrong, or cannot be read, is one clear line: nothing is printed besides, and nothing is written."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+GOOD = "(1.000000) can0 523#640064006400\n(1.010000) can0 510#0000000000000000\n"
+BUS = "loopback:wrong-use"
+USES = [
+    # ---------------------------------------------------------------- what no verb or no file is
+    ("fly", 2, "no verb 'fly'"),
+    ("status --wait nan", 2, "--wait is nan, but must be 0 or more"),
+    *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
+    *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
+    *((f"{verb} empty.log", 1, "no frames in it") for verb in ("decode", "monitor")),
+    *((f"{verb} run.log --revision 2030", 2, "choose one of 2021, 2026") for verb in ("decode", "monitor")),
+    *((f"{verb} run.log --dbc gone.dbc", 1, "gone.dbc: cannot be read: No such") for verb in ("decode", "monitor")),
+    *((f"{verb} run.log --from 500", 1, "run.log is in that part") for verb in ("decode", "dump", "check", "explain")),
+    *(
+        (f"{verb} {BUS} --seconds 0", 2, "--seconds is 0, not a time")
+        for verb in ("explain", "report -o x.html", "stats")
+    ),
+    ("stats run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
+    ("decode folder", 1, "folder: no log in this folder"),
+    # ---------------------------------------------------------------- databases and dumps
+    ("dbc show nothing", 1, "no message nothing in 2026"),
+    ("dbc show 0x513 nothing", 1, "no message nothing in 2026"),
+    ("dbc diff 2021", 2, "diff takes two databases"),
+    ("dbc list --dbc /nowhere.dbc", 1, "/nowhere.dbc"),
+    ("dump run.log -n 0", 2, "-n is 0, but at least 1 frame can be shown"),
+    ("dump run.log -T nan", 2, "-T is nan, not a time"),
+    ("dump run.log -L -a", 2, "-a and -t A do not go with -L"),
+    ("dump run.log --signals NO_SUCH", 1, "no signal NO_SUCH"),
+    ("dump run.log --from noon", 2, "--from is noon"),
+    ("dump run.log,520", 2, "no filter: '520'; a filter is ID:MASK"),
+    ("dump run.log vcan0", 2, "logs and live interfaces cannot be read together"),
+    # ---------------------------------------------------------------- export
+    *(
+        (f"export {use} --to csv -o tables", status, words)
+        for use, status, words in (
+            ("gone.log", 1, "gone.log: No such file or directory"),
+            ("no0", 2, "no0 is an interface; export reads logs"),
+            ("empty.log", 1, "no frames in it"),
+            ("run.log,nonsense", 2, "no filter: 'nonsense'"),
+            ("run.log --dbc gone.dbc", 1, "gone.dbc: cannot be read: No such file or directory"),
+            ("run.log --raster 10ms", 2, "--raster goes with --wide"),
+            ("run.log --wide --raster 10", 2, "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us"),
+            ("run.log --wide --raster 0ms", 2, "no raster: '0ms'"),
+        )
+    ),
+    ("export run.log --to csv -o /absent/tables", 1, "cannot write /absent/tables: No such file or directory"),
+    # ---------------------------------------------------------------- monitor and pit wall
+    ("monitor run.log --rate -1", 2, "--rate is -1, but must be 0 or more"),
+    ("monitor run.log --at nan", 2, "--at is nan"),
+    ("monitor run.log --every 0", 2, "--every is 0, but must be 0.02 or more"),
+    ("monitor run.log --seconds 3", 2, "--seconds is for live buses"),
+    (f"monitor {BUS} --rate 1", 2, "--at and --rate are for logs"),
+    ("monitor run.log --signals AS_STATE,NOTHING*", 1, "no signal NOTHING*; fsai-vcu dbc show lists them"),
+    ("pitwall can0 --loop", 2, "--rate and --loop are for logs"),
+    ("pitwall run.log --seconds 1", 2, "--seconds is for live buses"),
+    ("pitwall run.log --rate 0", 2, "--rate is 0, but must be 0.01 or more"),
+    ("pitwall run.log --port 70000", 2, "--port is 70000, but must be 0 to 65535"),
+    # ---------------------------------------------------------------- replay and record
+    ("replay run.log -i pcan:PCAN_USBBUS1", 1, "pcan:PCAN_USBBUS1 may be a real bus, with a car on it"),
+    ("replay run.log -i no0", 1, "no0 may be a real bus"),
+    ("replay run.log -i no0 --physical", 1, "no CAN interface 'no0'"),
+    *(
+        (f"replay {use} -i {BUS}", status, words)
+        for use, status, words in (
+            ("run.log --rate 0", 2, "--rate is 0, not a rate"),
+            ("run.log --rate nan", 2, "--rate is nan, not a rate"),
+            ("run.log --loop -1", 2, "--loop is -1, but must be 0 or more"),
+            ("run.log --from 2 --to 1", 1, "run.log is in that part"),
+            ("run.log --from=-3", 2, "--from is -3: neither seconds from 0 on"),
+            ("run.log --from soon", 2, "--from is soon: neither seconds from 0 on nor a time such"),
+            ("run.log,510:7FF", 1, "nothing is left to send"),
+            ("vcan0", 2, "vcan0 is an interface; replay reads logs"),
+            ("gone.log", 1, "gone.log: No such file or directory"),
+        )
+    ),
+    *(
+        (f"record -i {BUS} -o {use}", status, words)
+        for use, status, words in (
+            ("new.log --max-total 1G", 2, "--max-total goes with a folder, and new.log is to be a file"),
+            ("new --max-total much", 2, "--max-total is 'much', not a size like 64M or 4G"),
+            ("new --max-total 10K", 2, "--max-total is 10K, but less than 1M is no recording"),
+            ("new --segment-time 5", 2, "--segment-time is '5', not a time like 30s, 10min or 1h"),
+            ("new.log --seconds -1", 2, "--seconds is -1, but must be 0 or more"),
+            ("new --ros", 2, "--ros goes with --mcap"),
+            ("new --topic /x", 2, "--topic goes with --ros"),
+            ("new.log --limits gone.toml", 1, "cannot read the operational limits gone.toml: No such file"),
+            ("new.log --revision 1999", 1, "choose one of 2021, 2026"),
+            ("run.log", 1, "run.log is there already; name another file, or a folder to go on in"),
+        )
+    ),
+    # ---------------------------------------------------------------- drives, tracks, campaigns
+    ("drive --laps many", 2, "argument --laps: invalid int value: 'many'"),
+    ("drive --mission rally", 1, "unknown mission 'rally'"),
+    ("drive --revision 2030", 1, "choose one of 2021, 2026"),
+    ("drive --track gone.csv", 1, "gone.csv: cannot be read"),
+    ("drive --seed -1", 1, "seed is -1, but must be 0 or more"),
+    ("drive --max-speed nan", 1, "max_speed_mps is nan"),
+    ("drive --limits gone.toml", 1, "gone.toml"),
+    ("drive --log /absent/bus.log", 1, "/absent/bus.log: No such file or directory"),
+    ("drive --fault nothing", 1, "unknown fault 'nothing': --list-faults shows"),
+    ("drive --fault go_off --track small_oval", 1, "--track does not go with --fault"),
+    ("drive --fault go_off --noise 2", 1, "do not go with --fault"),
+    ("drive --fault go_off --mission picnic", 1, "unknown mission 'picnic'"),
+    ("track", 2, "either a file or a name, or --seed N"),
+    ("track autocross --seed 1", 2, "either a file or a name, or --seed N"),
+    ("track autocross --style tight", 2, "either a file or a name, or --seed N"),
+    ("track --seed -1", 1, "generated--1: no such track"),
+    ("track gone.csv", 1, "gone.csv: cannot be read"),
+    ("track small_oval -o /absent/folder.csv", 1, "/absent/folder.csv: No such file"),
+    ("track small_oval --plot /absent/folder.png", 1, "/absent/folder.png: No such file"),
+    ("campaign --runs 0 --full 0", 1, "one of them at least 1"),
+    ("campaign --faults gremlins", 1, "unknown fault 'gremlins'"),
+    ("campaign --missions picnic", 1, "unknown mission 'picnic'"),
+    ("campaign --revisions 1999", 1, "1999"),
+    ("campaign --jobs 0", 1, "at least 1 process"),
+    ("campaign --window 0.1", 1, "1 to 100 s"),
+    ("campaign --faults planner_silent --missions static_inspection_a", 1, "none of these faults applies"),
+    ("campaign --table /absent/record.jsonl", 1, "/absent/record.jsonl: No such file"),
+]
+
+
+@pytest.mark.parametrize(("use", "status", "words"), USES, ids=[use for use, *_ in USES])
+def test_wrong_use_is_one_clear_line_and_writes_nothing(
+    use: str,
+    status: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder").mkdir()
+    for name, text in (("run.log", GOOD), ("empty.log", "")):
+        Path(name).write_text(text)
+    try:
+        assert main(shlex.split(use)) == status
+    except SystemExit as ended:
+        assert ended.code == status
+    said = capsys.readouterr()
+    (line,) = (line for line in said.err.splitlines() if "left out" not in line)
+    assert words in line
+    assert Path("run.log").read_text() == GOOD and len(list(tmp_path.iterdir())) == 3
+    assert said.out == "" or use.startswith(("track small_oval", "dbc show 0x513"))
