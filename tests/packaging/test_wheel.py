@@ -13,6 +13,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 NAME = "fsai-vcu"
@@ -45,7 +46,7 @@ def clean(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clean")
     venv.create(folder)
     site = next(folder.glob("lib/python3*/site-packages"))
-    for name in needed(NAME, set()):
+    for name in needed():
         found = distribution(name)
         for top in {file.parts[0] for file in found.files or () if file.parts[0] not in ("..", "__pycache__")}:
             (site / top).symlink_to(Path(str(found.locate_file(top))))
@@ -54,14 +55,15 @@ def clean(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def needed(name: str, known: set[str]) -> set[str]:
+def needed() -> set[str]:
     """Names of the distributions that pip would install with this one."""
-    for requirement in distribution(name).requires or ():
-        other = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
-        if ";" not in requirement and other not in known:
-            needed(other, known | {other})
-            known |= {other, *needed(other, known)}
-    return known
+    names, new = set(), [NAME]
+    while new:
+        for requirement in map(Requirement, distribution(new.pop()).requires or ()):
+            if requirement.name not in names and (not requirement.marker or requirement.marker.evaluate({"extra": ""})):
+                names.add(requirement.name)
+                new.append(requirement.name)
+    return names
 
 
 def names_in(archive: Path) -> set[str]:
