@@ -30,8 +30,9 @@ CYCLES = 60_000
 LOG_FRAMES = 1_000_000
 SAMPLES_HZ = 400
 WIDTH, ROW, MARGIN = 1000, 17, 4  # pixels
-LEAST_SHARE = 0.006  # what is narrower is not drawn
+LEAST_SHARE = 0.01  # what is narrower is not drawn
 LABEL_PX = 6.2  # a character
+LEAST_LABEL = 4  # characters
 COLOURS = {
     "fsai_vcu/core": "#f4a261",
     "fsai_vcu/interface": "#e9c46a",
@@ -98,7 +99,7 @@ def graph_of(stacks: str, root: str) -> tuple[Node, int]:
     for line in stacks.splitlines():
         stack, _, count = line.rpartition(" ")
         everything += int(count)
-        frames = [re.sub(r"(:\d+)?\)$", ")", frame) for frame in stack.split(";")]
+        frames = [re.sub(r"(:\d+)?\)$", ")", frame) for frame in stack.split(";") if "importlib" not in frame]
         first = next((number for number, frame in enumerate(frames) if re.search(root, frame)), None)
         if first is not None:
             graph.add(frames[first:], int(count))
@@ -127,7 +128,8 @@ def _bars(node: Node, left: float, row: int, px: float, least: float) -> Iterato
         name, _, file = frame.rstrip(")").partition(" (")
         colour = next(colour for part, colour in COLOURS.items() if part in file)
         share = f"{100 * width / WIDTH:.0f} %"
-        words = f"{name} {share}"[: max(0, int((width - 6) / LABEL_PX))]
+        room = int((width - 6) / LABEL_PX)
+        words = f"{name} {share}"[:room] if room >= LEAST_LABEL else ""
         at = f'x="{left:.1f}" y="{row * ROW + MARGIN}"'
         yield (
             f'<g><title>{escape(frame)}: {share}</title><rect {at} width="{width - 0.5:.1f}" height="{ROW - 1}" '
