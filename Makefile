@@ -1,29 +1,48 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo drive test evidence verify missions mutation fuzz campaign explanations soak scrutineering bench bench-planning bench-control rehearsal install uninstall deb rehearse-deb lint format clean
+MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
+.PHONY: $(shell sed -nE 's/^([a-z-]+):.*/\1/p' Makefile)
 
 help:  ## show this list
-	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-15s %s\n", $$1, $$2}'
+	@awk -F':.*## ' '/^##@/ {print "\n" substr($$0, 5)} /^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' Makefile
 
-setup:  ## create .venv with everything in it; installs system packages when root, else says which
-	@scripts/setup
+# What somebody mistyped.
+.DEFAULT:
+	@echo "make: there is no target '$@'; all there are: make help" >&2; exit 2
+Makefile: ;
 
-.PHONY: setup-for-tests
-setup-for-tests:  ## setup, and what only tests, lint and long evidence need
-	@scripts/setup --for-tests
-
+##@ First minutes
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.rehearsal.demo
 
-drive: setup  ## the nodes and the simulated car until the mission is over, on the screen; ARGS="mission:=skidpad ..."
+drive: setup  ## the nodes and the simulated car until the mission is over, their log on the screen; ARGS="mission:=skidpad ..."
 	@$(BIN)/python -m fsai_nodes.launch simulated_car:=true $(ARGS)
 
+setup:  ## .venv with everything in it; installs system packages when root, else says which; what needs it does it first
+	@scripts/setup
+
+##@ While you work
 test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	@scripts/test
 
-evidence: verify mutation campaign explanations missions  ## all of the long evidence, into docs/evidence; goes on where it was stopped
+lint: setup-for-tests  ## ruff and mypy
+	@scripts/test lint types
+
+format: setup-for-tests  ## put the code into ruff's format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+setup-for-tests:  ## setup, and what only tests, lint and long evidence need
+	@scripts/setup --for-tests
+
+clean:  ## remove .venv and everything made by tests and runs
+	rm -rf .venv out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find fsai_vcu hil nodes tests -name __pycache__ -prune -exec rm -rf {} +
+
+##@ Is it safe? Each prints figures, and fails when a rule breaks
+evidence: verify mutation campaign explanations missions pages  ## all of it, into docs; goes on where it was stopped
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
@@ -50,11 +69,18 @@ SOAK_MINUTES ?= 30
 soak: setup-for-tests  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?
 	$(BIN)/fsai-vcu hil --soak $(SOAK_MINUTES)
 
+rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
+	$(BIN)/python -m fsai_hil.rehearsal.carpc
+
+##@ Is it fast, and good?
 scrutineering: setup  ## the handshake's response time on a real vcan0, idle and under load, beside a C loop's; a report
 	$(BIN)/fsai-vcu scrutineering
 
-bench: setup  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks
-	$(BIN)/python -m fsai_hil.rehearsal.bench
+bench: setup-for-tests  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks; minutes
+	$(BIN)/python -m fsai_hil.rehearsal.bench $(ARGS)
+
+bench-check: setup-for-tests  ## bench; fails where a ratio fell below docs/evidence/bench.json; ARGS=--write renews that
+	$(BIN)/python -m fsai_hil.rehearsal.bench --check $(ARGS)
 
 bench-planning: setup  ## how well and how fast the lane is found, with cones missing, swapped, invented or without colours
 	$(BIN)/python -m fsai_hil.rehearsal.bench_planning
@@ -62,20 +88,10 @@ bench-planning: setup  ## how well and how fast the lane is found, with cones mi
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
 	$(BIN)/python -m fsai_hil.rehearsal.bench_control
 
-rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
-	$(BIN)/python -m fsai_hil.rehearsal.carpc
+profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
+	$(BIN)/python -m fsai_hil.rehearsal.profiles -o docs/pictures
 
-.PHONY: pages docs
-pages: setup  ## renew the tables and diagrams in the documentation's pages from code and evidence
-	@$(BIN)/python docs/pages.py
-
-docs: setup  ## build the documentation into out/docs, every link checked; installs what that needs
-	@$(BIN)/python -c "import material, mkdocstrings_handlers, mmdr" 2>/dev/null || $(BIN)/pip install -q -e ".[docs]"
-	@rm -rf out/pages && mkdir -p out/pages
-	@git ls-files -coz --exclude-standard '*.md' docs/pictures docs/site.css | xargs -0 cp --parents -t out/pages
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict >out/docs.log 2>&1 || { cat out/docs.log; exit 1; }
-	@echo "saved out/docs/index.html; with its search: python3 -m http.server -d out/docs"
-
+##@ For others
 install:  ## install as the car's software, as root (or below DESTDIR=...); docs/car.md says what comes next
 	@scripts/install-car install
 
@@ -88,13 +104,15 @@ deb:  ## a Debian package that needs no network where it is installed, in out/de
 rehearse-deb:  ## install that package in bare chroots of SUITES (debootstrap), drive, upgrade, purge; as root, minutes
 	@scripts/rehearse-deb $(SUITES)
 
-lint: setup-for-tests  ## ruff and mypy
-	@scripts/test lint types
+wheel: setup-for-tests  ## the wheel and the sdist, in dist; fsai-vcu drive works from it: pipx install dist/*.whl
+	$(BIN)/python -m hatchling build -d dist
 
-format: setup-for-tests  ## put the code into ruff's format
-	$(BIN)/ruff format .
-	$(BIN)/ruff check --fix .
+docs: setup  ## build the documentation into out/docs, every link checked; installs what that needs
+	@$(BIN)/python -c "import material, mkdocstrings_handlers, mmdr" 2>/dev/null || $(BIN)/pip install -q -e ".[docs]"
+	@rm -rf out/pages && mkdir -p out/pages
+	@git ls-files -coz --exclude-standard '*.md' docs/pictures docs/site.css | xargs -0 cp --parents -t out/pages
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict >out/docs.log 2>&1 || { cat out/docs.log; exit 1; }
+	@echo "saved out/docs/index.html; with its search: python3 -m http.server -d out/docs"
 
-clean:  ## remove .venv and everything made by tests and runs
-	rm -rf .venv out .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find fsai_vcu hil nodes tests -name __pycache__ -prune -exec rm -rf {} +
+pages: setup  ## renew the tables and diagrams in the documentation's pages from code and evidence
+	@$(BIN)/python docs/pages.py

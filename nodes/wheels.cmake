@@ -20,3 +20,8 @@ function(fsai_drop_missing_include_directories)
   endforeach()
 endfunction()
 cmake_language(DEFER CALL fsai_drop_missing_include_directories)
+
+# Nothing here is C++: of the ten generators the six of C and Python are enough. (Each package found registers its
+# own, once.) Fast DDS asks the introspection's of C for the types that it announces.
+find_package(rosidl_default_generators REQUIRED)
+list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")

@@ -1,11 +1,14 @@
 """`python -m fsai_hil.rehearsal.bench`: how fast, as ratios to what everybody would take instead, in the same run.
 
     python -m fsai_hil.rehearsal.bench --quick -o out/bench
+    python -m fsai_hil.rehearsal.bench --check
 
 Ours and the peer's take turns, so that a machine that slows down slows both; each figure is the median of the rounds,
 with the quickest and the slowest beside it. What is counted is processor time, the kernel's part too, so other programs
 on the machine cost nothing. That both give the same values is shown in `tests/interface`. One figure is judged, but for
 `--quick`: the bridge node, real rclpy and all, must come to its first frame within a second of processor time.
+
+`--check` compares the ratios, and nothing else, with those of `docs/evidence/bench.json`, which `--write` renews.
 """
 
 from __future__ import annotations
@@ -19,7 +22,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from itertools import count
@@ -32,7 +36,6 @@ import numpy as np
 from cantools.database.can import Database
 
 from fsai_hil import CHECKOUT
-from fsai_hil.rehearsal.carpc.scenes import START_TO_FIRST_FRAME_S
 from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.lockstep import Lockstep
@@ -62,8 +65,10 @@ REVISION = "2026"
 MISSIONS = ("acceleration", "skidpad", "autocross", "trackdrive")
 TRACKDRIVE_LAPS = 1
 NODE_START = "start bridge node"
-NODE_START_WALL = f"{NODE_START}, wall"
 NODE_START_S = 1.0  # of a normal machine, as carpc/scenes.py has it
+BASELINE = CHECKOUT / "docs" / "evidence" / "bench.json"
+BETWEEN_RUNS = 0.1  # by how much a ratio differs between two runs of the same code, beside the spread of their rounds
+SPEED = "x real time"
 _PEER_FRAMES = 50_000  # cantools takes a second for so many
 _FRAME_NS = 700_000  # of a full bus
 _PARTS = 10  # in which a long log is written
@@ -86,22 +91,25 @@ class Effort(NamedTuple):
     turns: int  # of a comparison in each round
     starts: int  # of a process
     missions: tuple[str, ...]
+    drives: int  # of each mission
     log_frames: int
     log_rounds: int
 
 
-FULL = Effort(rounds=15, turns=2000, starts=7, missions=MISSIONS, log_frames=2_000_000, log_rounds=3)
-QUICK = Effort(rounds=5, turns=300, starts=2, missions=MISSIONS[:1], log_frames=50_000, log_rounds=1)
+FULL = Effort(rounds=15, turns=2000, starts=7, missions=MISSIONS, drives=2, log_frames=2_000_000, log_rounds=3)
+QUICK = Effort(rounds=5, turns=300, starts=2, missions=MISSIONS[:1], drives=1, log_frames=50_000, log_rounds=1)
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Of one figure over the rounds."""
-    return {"median": statistics.median(values), "least": min(values), "most": max(values)} if values else None
+    """Of one figure over the rounds, to four digits."""
+    figures = {"median": statistics.median, "least": min, "most": max}
+    return {name: float(f"{figure(values):.4g}") for name, figure in figures.items()} if values else None
 
 
 def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: Sequence[float] = ()) -> Row:
     """One row of the table. `ratio` is the peer's time by ours, round by round; None where there is no peer."""
-    ratios = [theirs / own for own, theirs in zip(ours, peer, strict=False)]
+    # A speed is the greater the better: how much of it there is in the peer's time.
+    ratios = [theirs * own if unit == SPEED else theirs / own for own, theirs in zip(ours, peer, strict=False)]
     figures = {"ours": spread(ours), "peer": spread(peer), "ratio": spread(ratios)}
     return {"name": name, "unit": unit, "peer_name": peer_name, **figures}
 
@@ -172,26 +180,35 @@ def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
 # ---------------------------------------------------------------- the answer
 
 
-def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
-    """From a 0x520 received to five frames sent, on the loopback bus: ours supervised and limited, theirs not."""
-    name = f"bench-{os.getpid()}"
-    values = command_values(database, codec.encode_command(COMMAND))
+@contextmanager
+def answering(codec: Codec) -> Iterator[tuple[Work, Engine]]:
+    """What answers one 0x520 after the other on a loopback bus, past the time in which a bridge only listens."""
     chosen = revision(REVISION)
     statuses = [codec.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)) for bit in (False, True)]
-    with open_bus(f"loopback:{name}", may_send=AI_IDS) as bus:
-        plain = can.Bus(interface="fsai_loopback", channel=f"{name}-peer")
+    with open_bus(f"loopback:bench-{os.getpid()}", may_send=AI_IDS) as bus:
         bridge = Bridge(codec, chosen, CARS[REVISION], BridgeConfig(), None, now_ns=0)
         engine = Engine(bridge, codec, bus.send, 0)
         turns = count(1)
 
-        def ours() -> None:
-            turn = next(turns)
-            now_ns, status = turn * PERIOD_NS, statuses[turn & 1]
+        def turn() -> None:
+            number = next(turns)
+            now_ns, status = number * PERIOD_NS, statuses[number & 1]
             engine.on_frame(Frame(status.can_id, status.data, now_ns))
             engine.poll(now_ns)
 
+        for _ in range(100):
+            turn()
+        yield turn, engine
+
+
+def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
+    """From a 0x520 received to five frames sent, on the loopback bus: ours supervised and limited, theirs not."""
+    values = command_values(database, codec.encode_command(COMMAND))
+    status = codec.encode(VcuStatus(as_state=AsState.AS_OFF))
+    with answering(codec) as (ours, engine):
+        plain = can.Bus(interface="fsai_loopback", channel=f"bench-{os.getpid()}-peer")
+
         def peer() -> None:
-            status = statuses[0]
             received = database.decode_message(status.can_id, status.data, decode_choices=False)
             for can_id, signals in values:
                 if can_id == AI_IDS[0]:
@@ -200,8 +217,6 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
                 plain.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
         try:
-            for _ in range(100):  # past the time in which a bridge only listens
-                ours()
             before = engine.cycles
             words = "answer a 0x520", "us/cycle", "cantools + python-can"
             found = compared(*words, ours=ours, peer=peer, effort=effort, scale=1e6)
@@ -231,8 +246,8 @@ def bench_logs(effort: Effort) -> list[Row]:
 def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]:
     log, part, dbc = folder / "whole.log", folder / "part.log", folder / "car.dbc"
     few = frames.head(_PEER_FRAMES)
-    _write(frames, log)
-    _write(few, part)
+    write(frames, log)
+    write(few, part)
     dbc.write_text(cantools_database().as_dbc_string(), encoding="cp1252")  # cantools' command line takes one file
     assert _decoded(part) == _decoded_by_cantools(part, dbc), f"{kind}: cantools prints other lines"
     works: dict[str, tuple[Work, Frames]] = {
@@ -242,12 +257,12 @@ def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]
         "parquet": (lambda: _exported("parquet", log, folder), frames),
         "mcap": (lambda: _exported("mcap", log, folder), frames),
         "check": (lambda: _fsai_vcu("check", log), frames),
+        "stats": (lambda: _fsai_vcu("stats", log), frames),
     }
     rounds_us = [[timeit(work, number=1) * 1e6 / len(read) for work, read in works.values()] for _ in range(rounds)]
     peer, *ours = zip(*rounds_us, strict=True)
-    peers = {"decode": ("cantools decode", peer)}
     return [
-        row(f"{what} {kind}, wall", "us/frame", times, *peers.get(what, ()))
+        row(f"{what} {kind}, wall", "us/frame", times, "cantools decode", peer)
         for what, times in zip(list(works)[1:], ours, strict=True)
     ]
 
@@ -280,7 +295,7 @@ def recorded_frames(count: int, folder: Path) -> Frames:
     return joined(repeated).head(count)
 
 
-def _write(frames: Frames, path: Path) -> None:
+def write(frames: Frames, path: Path) -> None:
     with path.open("wb") as file:
         for rows in np.array_split(np.arange(len(frames)), _PARTS):
             file.write(b"\n".join([*log_lines(frames.only(rows)), b""]))
@@ -320,23 +335,38 @@ def _values(log: Path) -> None:
 # ---------------------------------------------------------------- lockstep
 
 
-def bench_missions(missions: Sequence[str]) -> list[Row]:
+def bench_missions(effort: Effort) -> list[Row]:
     """How many times faster than real time a whole mission is driven. Raises AssertionError where it does not pass."""
-    results = []
-    for mission in missions:
-        laps = TRACKDRIVE_LAPS if mission == "trackdrive" else None
+    return [row(f"drive {name}", SPEED, *_driven(name, effort.drives)) for name in effort.missions]
+
+
+def _driven(mission: str, drives: int) -> tuple[list[float], str, list[float]]:
+    """The speed of each drive, and beside it the seconds of a loop that is the same in every version."""
+    speeds, loops_s = [], []
+    laps = TRACKDRIVE_LAPS if mission == "trackdrive" else None
+    for _ in range(drives):
         lockstep = Lockstep(WorldSetup(missions=[mission_named(mission)], laps=laps))
+        loops_s.append(timeit(_fixed_loop, timer=time.process_time, number=1))
         began = time.process_time()
         done = lockstep.run()
-        took_s = time.process_time() - began
+        speeds.append(done.sim_time_s / (time.process_time() - began))
         assert done.passed, f"{mission}: {done.verdict.reasons}"
-        results.append(row(f"drive {mission}", "x real time", [done.sim_time_s / took_s]))
-    return results
+    return speeds, "a fixed loop (ratio: seconds driven in its time)", loops_s
+
+
+def _fixed_loop() -> None:
+    """What a drive is made of: objects, dictionaries, numbers of Python, and small arrays."""
+    points, seen = np.linspace(0.0, 20.0, 60), {}
+    for number in range(60_000):
+        seen[number % 97] = (number, str(number), [step * 0.5 for step in range(8)])
+        if number % 5 == 0:
+            np.hypot(points - number, points).argmin()
 
 
 # ---------------------------------------------------------------- starting
 
 _PEER_START = "import can, cantools"
+_PEER_NODE = "import rclpy"
 _OUR_START = f"""
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision.config import BridgeConfig
@@ -354,32 +384,36 @@ codec.encode_command(AiCommand())
 
 def bench_start(effort: Effort) -> Row:
     """A process that could send its first frame now, with database and bridge; and one with the libraries alone."""
-
-    def children_s() -> float:
-        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return usage.ru_utime + usage.ru_stime
-
-    ours, peer = (
-        partial(subprocess.run, [sys.executable, "-c", code], check=True) for code in (_OUR_START, _PEER_START)
-    )
     words = "start to a first frame", "s", _PEER_START
     once = effort._replace(rounds=effort.starts, turns=1)
-    return compared(*words, ours=ours, peer=peer, effort=once, scale=1.0, timer=children_s)
+    works = {"ours": partial(_python, _OUR_START), "peer": partial(_python, _PEER_START)}
+    return compared(*words, **works, effort=once, scale=1.0, timer=_children_s)
 
 
-def bench_node(effort: Effort) -> list[Row]:
+def _python(code: str) -> None:
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def _children_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def bench_node(effort: Effort) -> Row:
     """From exec to the first frame of the bridge node as the car starts it, on a loopback bus with nobody else on it.
 
-    Its processor time and the wall's, the 200 ms in which it only listens included. Raises AssertionError where none
+    Its processor time, and beside it what any node takes before its first line. Raises AssertionError where no frame
     comes.
     """
-    processor_s, wall_s = [], []
+    processor_s, peer_s = [], []
+    _python(_PEER_NODE)
     name = f"loopback:bench-node-{os.getpid()}"
     with tempfile.TemporaryDirectory() as folder, open_bus(name) as bus:
         configuration = Path(folder) / "fsai.toml"
         configuration.write_text(f"[ros]\ndomain_id = {1 + os.getpid() % 100}\n", encoding="utf-8")
         argv = [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--config", str(configuration), "--interface", name]
         for _ in range(effort.starts):
+            peer_s.append(timeit(partial(_python, _PEER_NODE), timer=_children_s, number=1))
             began = time.monotonic()
             node = RunningProcess("vcu_bridge", argv, Path(folder) / "vcu_bridge.log", os.environ)
             try:
@@ -388,14 +422,13 @@ def bench_node(effort: Effort) -> list[Row]:
                     assert node.alive and waited_s < _NODE_PATIENCE_S, (
                         f"no frame of vcu_bridge: {node.last_words(1).strip()}"
                     )
-                wall_s.append(time.monotonic() - began)
                 # The edge, and the process of its loop.
                 processor_s.append(sum(_processor_s(pid) for pid in (node.popen.pid, holder_pid(name)) if pid))
             finally:
                 node.stop()
             while bus.recv(0.0) is not None:
                 pass  # the last of this one are not the first of the next
-    return [row(NODE_START, "s", processor_s), row(NODE_START_WALL, "s", wall_s)]
+    return row(NODE_START, "s", processor_s, _PEER_NODE, peer_s)
 
 
 def _processor_s(pid: int) -> float:
@@ -423,11 +456,11 @@ def run(effort: Effort) -> list[Row]:
         ("encoding", lambda: [bench_encode(codec, database, effort)]),
         ("answering on the loopback bus", lambda: [bench_answer(codec, database, effort)]),
         ("starting processes", lambda: [bench_start(effort)]),
-        ("starting the bridge node", lambda: bench_node(effort))
+        ("starting the bridge node", lambda: [bench_node(effort)])
         if ros
         else ("not measured: the bridge node; ROS 2 is not in this environment", list),
         (f"reading logs of {effort.log_frames} frames", lambda: bench_logs(effort)),
-        ("driving in lockstep", lambda: bench_missions(effort.missions)),
+        ("driving in lockstep", lambda: bench_missions(effort)),
     )
     rows: list[Row] = []
     for number, (words, step) in enumerate(steps, start=1):
@@ -442,10 +475,6 @@ def table(rows: Sequence[Row]) -> str:
         figures = "".join(f"{_words(each[figure]):>24}" for figure in ("ours", "peer", "ratio"))
         lines.append(f"{each['name']:<24}{each['unit']:<12}{figures}  {each['peer_name']}".rstrip())
     lines.append("median (quickest to slowest round), of processor time where not wall time")
-    lines.append(
-        f"{NODE_START}: to its first frame, {NODE_START_S:g} s of processor time at most; the rehearsal grants "
-        f"{START_TO_FIRST_FRAME_S:g} s of wall time, in User-Mode Linux"
-    )
     return "\n".join(lines)
 
 
@@ -456,23 +485,51 @@ def _words(figure: dict[str, float] | None) -> str:
     return f"{figure['median']:.3g}" + (f" ({least:.3g} to {most:.3g})" if least != most else "")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def compare(rows: Sequence[Row], baseline: dict[str, Any], here: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Each ratio beside the baseline's, a line for each; and the names of those that fell by more than their noise."""
+    before = {each["name"]: each["ratio"] for each in baseline["results"]}
+    processors = baseline["machine"]["processors"]
+    lines, fell = [f"{'ratio':<24}{'baseline':>10}{'now':>10}{'change':>9}{'noise':>9}"], []
+    for name, now in ((each["name"], each["ratio"]) for each in rows if each["name"] in before):
+        was = before[name]
+        change = now["median"] / was["median"] - 1
+        noise = BETWEEN_RUNS + sum((each["most"] - each["least"]) / 2 / each["median"] for each in (now, was))
+        words = f"{name:<24}{was['median']:>10.3g}{now['median']:>10.3g}{change:>9.0%}{noise:>9.0%}"
+        if name.endswith(", wall") and here["processors"] != processors:
+            words += f"  not judged: {here['processors']} processors, and {processors} in the baseline"
+        elif change < -noise:
+            words += "  FELL"
+            fell.append(name)
+        lines.append(words)
+    return lines, fell
+
+
+def parsed(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="fsai_hil.rehearsal.bench",
-        description="How fast: the codec, the answer, the start and whole missions, beside cantools and python-can.",
+        description="How fast: codec, answer, logs, start and whole missions, as ratios to what others take.",
         epilog="example:\n  python -m fsai_hil.rehearsal.bench --quick -o out/bench",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--quick", action="store_true", help="a quarter of a minute, more spread, nothing is judged")
+    parser.add_argument(
+        "--quick", action="store_true", help="a quarter of a minute, more spread, the start is not judged"
+    )
+    parser.add_argument("--check", action="store_true", help="fail where a ratio fell by more than its noise")
+    parser.add_argument("--write", action="store_true", help="let this run be what --check compares with")
     parser.add_argument(
         "-o", "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="folder for bench.json"
     )
-    args = parser.parse_args(argv)
+    return parser.parse_args(argv)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    args = parsed(argv)
     here = machine()
     print(f"{here['processor']} x {here['processors']}, {here['kernel']}, Python {here['python']}", flush=True)
     began = time.monotonic()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
+        baseline = json.loads(BASELINE.read_text("utf-8")) if args.check and not args.write else None
         rows = run(QUICK if args.quick else FULL)
         whole = {
             **facts(CHECKOUT),
@@ -482,16 +539,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             "machine": here,
             "results": rows,
         }
-        path = args.out / "bench.json"
-        path.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+        saved = [args.out / "bench.json", *[BASELINE] * args.write]
+        for path in saved:
+            path.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
     except AssertionError as error:
         return complain(f"nothing to compare: {error}")
     except OSError as error:
         return complain(f"{error.filename or args.out}: {error.strerror}")
     except KeyboardInterrupt:
         return complain("interrupted", 130)
-    print(f"\n{table(rows)}\nsaved {path}")
+    print(f"\n{table(rows)}\nsaved {' and '.join(map(str, saved))}")
     problem = None if args.quick else too_slow(rows)
+    if baseline:
+        lines, fell = compare(rows, baseline, here)
+        print("", *lines, sep="\n")
+        absent = {each["name"] for each in baseline["results"]} - {each["name"] for each in rows}
+        if absent and not args.quick:
+            problem = f"in {BASELINE}, and not measured: {', '.join(sorted(absent))}"
+        if fell:
+            problem = f"slower than in {BASELINE}, by more than the noise: {', '.join(fell)}"
     return complain(problem) if problem else 0
 
 
