@@ -50,7 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
     add("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
     add("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
-    add("-L", dest="log_format", action="store_true", help="the format of candump's logs")
+    add(
+        "-L",
+        dest="log_format",
+        action="store_true",
+        help="the format of candump's logs; signals only as --signals or --short ask",
+    )
     add("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
     add(
         "--changes",
@@ -149,7 +154,9 @@ class _Lines:
             heads = log_lines(frames, _TIME_DIGITS[self._args.times or "a"], marks=self._args.extra)
         else:
             heads = self._screen_lines(frames)
-        tails = [b"\n"] * len(frames) if self._args.no_signals else self._decoding.writer.tails(frames)
+        # A line of a log with signals behind it is none that canplayer or check would read.
+        bare = self._args.log_format and self._args.signals is None and not self._args.short
+        tails = [b"\n"] * len(frames) if self._args.no_signals or bare else self._decoding.writer.tails(frames)
         if self._color:
             colors = self._colors(frames)
             heads = [color + head if color else head for color, head in zip(colors, heads, strict=True)]

@@ -41,11 +41,11 @@ def run(args: argparse.Namespace) -> int:
     if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):
         raise UserError(f"no frame of {sources.name} is in that part")
     buses = measure(frames, record.decoder, revision=record.revision.name)
-    verdict = judge_log(record, buses).between(begin_s, end_s)
+    verdict = judge_log(record, buses).between(begin_s, end_s).unread(sources.status)
     shown = verdict.explanation
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)
     for line in map(json.dumps, verdict.as_dicts()) if args.json else (f"verdict: {verdict.line()}",):
         print(line)
-    return sources.status or verdict.status
+    return verdict.status

@@ -48,10 +48,11 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
     record = Record(frames, decoding.revision, decoding.databases if args.dbc else None)
-    verdict = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
+    judged = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
+    verdict = judged.unread(sources.status)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     write_out("".join(f"{line}\n" for line in lines).encode())
-    return sources.status or verdict.status
+    return verdict.status
 
 
 def _as_json(bus: BusStatistics, *, table: bool) -> str:

@@ -34,7 +34,7 @@ def shown(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
 
 
 def test_a_log_dumped_as_a_log_is_the_log(log: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert shown(capsys, log, "-L", "--no-signals") == LOG.splitlines()
+    assert shown(capsys, log, "-L") == LOG.splitlines()
 
 
 def test_lines_are_those_of_candumps_screen(log: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,7 +53,7 @@ def test_direction_and_ascii_stand_where_candump_has_them(log: str, capsys: pyte
         "  can0  TX - -       514   [2]  0A 42                     '.B'",
         "  can0  RX B E       123  [01]  AA                        '.'",
     ]
-    assert [line[-2:] for line in shown(capsys, log, "--no-signals", "-L", "-x")] == [" R", " T", " R"]
+    assert [line[-2:] for line in shown(capsys, log, "-L", "-x")] == [" R", " T", " R"]
 
 
 @pytest.mark.parametrize(

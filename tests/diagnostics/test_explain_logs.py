@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,20 @@ def test_torque_in_as_ready_explains_why_go_does_nothing() -> None:
     assert [step.signal for step in first.steps] == ["FRONT_AXLE_TRQ_REQUEST", "GO_SIGNAL"]
 
 
+def test_a_fault_before_the_start_is_named_by_its_own_cause() -> None:
+    log = OtherStack()
+    log.cycles(700, car(fault=True, faults=Faults(hvil_open=True)), AiStatus(mission_status=MissionStatus.SELECTED))
+    assert tell(log.frames()).incidents[0].candidates[0].slug == "hvil_open"
+
+
+def test_tsms_off_in_as_ready_comes_before_a_go_not_given() -> None:
+    log = OtherStack()
+    selected = AiStatus(mission_status=MissionStatus.SELECTED)
+    log.cycles(20, car(), selected)
+    log.cycles(700, car(as_state=AsState.AS_READY, ts_switch=False), selected)
+    assert [one.slug for one in tell(log.frames()).incidents[0].candidates[:2]] == ["tsms", "no_go"]
+
+
 @pytest.mark.parametrize("cause", [c for c in ShutdownCause if c])
 def test_every_shutdown_cause_has_its_row_or_what_led_to_it(cause: ShutdownCause) -> None:
     first = tell(OtherStack().braked(shutdown_cause=cause)).incidents[0].candidates[0]
@@ -212,6 +227,13 @@ def test_a_pause_of_all_senders_blames_the_bus_or_the_recording() -> None:
     assert len(told) == 1 and told[0].startswith("nothing at all is received for 3")
 
 
+def test_a_car_that_toggles_on_is_one_missing_echo() -> None:
+    frames = branch(driving(), lambda run: None, 2.0).frames
+    ai = (frames.can_id >= 0x510) & (frames.can_id <= 0x514)
+    gone = (frames.t_ns > frames.t_ns[-1] - 1500 * MS) & (frames.t_ns < frames.t_ns[-1] - 500 * MS)
+    assert len([event for event in tell(frames.only(~(ai & gone))).events if "echo is missing" in event.text]) == 1
+
+
 # ---------------------------------------------------------------- pieces of logs
 
 
@@ -273,6 +295,32 @@ def inspection(profile: str, rev: str) -> Run:
     return Run.of(setup(missions=[Ami.STATIC_INSPECTION_A], profile=profile, revision=rev))
 
 
+def until_done(run: Run) -> None:
+    run.until(lambda: run.lockstep.world.done, 120.0)
+
+
+@cache
+def whole(begun: Callable[[], Run]) -> Frames:
+    return log_of(branch(begun(), until_done, 1.0).frames)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "mask", "data"),
+    [
+        (0x525, 0xFFFF, 0),  # a wheel that reads 0,
+        (0x525, 0, 1 << 48),  # twice as much,
+        (0x523, 0xFFFF, 100),  # 10 degrees all along
+    ],
+)
+def test_the_regular_end_is_not_blamed_on_what_lasted_long(can_id: int, mask: int, data: int) -> None:
+    frames = whole(driving)
+    rows = (frames.can_id == can_id) & (frames.t_ns > frames.t_ns[0] + 16 * S)
+    word = np.where(rows, frames.word & ~np.uint64(mask) | np.uint64(data & mask), frames.word)
+    if not mask:
+        word[rows] += (word[rows] >> np.uint64(48)) * np.uint64(data)
+    assert {i.kind for i in tell(replace(frames, word=word)).incidents} == {IncidentKind.MISMATCH}
+
+
 @pytest.mark.parametrize(
     ("begun", "rev"),
     [
@@ -282,7 +330,7 @@ def inspection(profile: str, rev: str) -> Run:
     ],
 )
 def test_a_good_run_has_no_incident_and_no_warning(begun: Callable[[], Run], rev: str) -> None:
-    story = tell(branch(begun(), lambda run: run.until(lambda: run.lockstep.world.done, 120.0), 1.0).frames)
+    story = tell(whole(begun))
     assert story.incidents == ()
     assert story.clean
     assert [e.text for e in story.events if e.weight > 1] == []
@@ -346,6 +394,14 @@ def test_the_exit_status_says_whether_there_is_an_incident(
 ) -> None:
     assert explain(written(stopped, tmp_path / "stopped.log"))[0] == 1
     assert explain(written(nominal, tmp_path / "nominal.log"))[0] == 0
+
+
+def test_a_log_that_cannot_be_read_whole_is_not_called_ok(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
+    path = written(nominal, tmp_path / "run.log")
+    path.write_bytes(path.read_bytes()[:-5])
+    status, out, _ = explain(path)
+    assert status == 1
+    assert out.splitlines()[-1].startswith("verdict: UNKNOWN: not everything could be read")
 
 
 def test_the_answer_comes_last_with_cause_chain_and_remedy(explain: Explain, faulty: Frames, tmp_path: Path) -> None:

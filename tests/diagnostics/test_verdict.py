@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from story_runs import branch, driving, hand_made
 
+from fsai_hil.simulator.faults import Drop
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
-from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
 from fsai_vcu.diagnostics.statistics.measure import measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
+from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
 
 
@@ -105,7 +107,11 @@ def test_one_frame_that_contradicts_its_neighbours_is_told(drive: Frames, can_id
 
 @pytest.mark.parametrize(
     ("low", "high", "words"),
-    [(0x520, 0x520, "no 0x520 in the log"), (0x510, 0x514, "no frame of the AI computer")],
+    [
+        (0x520, 0x520, "no 0x520 in the log"),
+        (0x520, 0x526, "no 0x520 in the log"),
+        (0x510, 0x514, "no frame of the AI computer"),
+    ],
 )
 def test_what_cannot_be_known_is_not_ok(drive: Frames, low: int, high: int, words: str) -> None:
     verdict = judged(drive.only((drive.can_id < low) | (drive.can_id > high)))
@@ -117,9 +123,30 @@ def test_a_pause_of_everybody_is_one_finding_of_its_moment(drive: Frames) -> Non
     begin_ns = int(drive.t_ns[-1]) - 1 * S
     verdict = judged(drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 40 * MS)))
     (pause,) = [finding for finding in verdict.findings if finding.kind == "gap"]
-    assert "pause of" in pause.text
+    assert 40 <= int(pause.text.removeprefix("a pause of ").split()[0]) <= 50, "not that of the slowest message"
     assert pause.t_ns is not None and abs(pause.t_ns - begin_ns) < 20 * MS
     assert [f.kind for f in verdict.between(None, 5.0).findings if f.t_ns is not None] == []
+
+
+def test_what_a_cause_names_is_not_a_second_problem() -> None:
+    silent = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 1.0).frames
+    assert kinds(silent) == ["emergency_brake"]
+
+
+def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:
+    rows = [-900, -500]
+    drive = replace(drive, can_id=drive.can_id.copy(), flags=drive.flags.copy())
+    drive.can_id[rows], drive.flags[rows] = (0x40, 0x80), ERROR
+    (found,) = [finding for finding in judged(drive).findings if finding.severity == "problem"]
+    assert found.text.startswith("2 error frames: 1 bus-off; 1 ")
+    assert found.t_ns == drive.t_ns[-900] and found.remedy
+
+
+def test_frames_out_of_order_do_not_move_what_follows(drive: Frames) -> None:
+    rng = np.random.default_rng(0)
+    record = Record(replace(drive, t_ns=drive.t_ns + rng.integers(0, 5 * MS, len(drive))))
+    assert abs(record.end_ns - int(drive.t_ns[-1])) < 10 * MS
+    assert not record.set_back and (np.diff(record.frames.t_ns) >= 0).all()
 
 
 def changed(drive: Frames, can_id: int, data: str, since_ns: int) -> Frames:

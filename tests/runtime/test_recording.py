@@ -171,6 +171,7 @@ def test_limits_are_stored_beside_the_log_and_silence_fails(tmp_path: Path, caps
     argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--revision", "2021"]
     assert main([*argv, "--limits", str(limits)]) == 1, "the bus is silent"
     assert capsys.readouterr().err.endswith(f"fsai-vcu record: nothing was received on loopback:{BUS}\n")
+    assert not (tmp_path / "run.log").exists(), "an empty log keeps the next one from its name"
     about = json.loads((tmp_path / "run.json").read_text())
     assert about["revision"] == "2021"
     assert about["operational_limits"]["content"] == "max_speed_mps = 5.0  # the paddock\n"

@@ -50,12 +50,13 @@ class MessageLayout(NamedTuple):
         return fnmatchcase(self.name.lower(), name.lower()) or name.lower().removeprefix("0x") == f"{self.can_id:x}"
 
     def signals_like(self, patterns: Sequence[str]) -> tuple[SignalLayout, ...]:
-        """The signals that NAME or MESSAGE.NAME means (with * and ?), in any case."""
+        """The signals that NAME or MESSAGE.NAME means (with * and ?), in any case; NAME_Nm of 2026 is NAME too."""
         wanted = [pattern.lower() for pattern in patterns]
 
         def is_wanted(signal: SignalLayout) -> bool:
-            names = (signal.name.lower(), f"{self.name}.{signal.name}".lower())
-            return any(fnmatchcase(name, pattern) for name in names for pattern in wanted)
+            name = signal.name.lower()
+            names = (each for one in {name, name.removesuffix("_nm")} for each in (one, f"{self.name.lower()}.{one}"))
+            return any(fnmatchcase(each, pattern) for each in names for pattern in wanted)
 
         return tuple(filter(is_wanted, self.signals))
 

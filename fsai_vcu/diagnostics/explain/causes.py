@@ -35,7 +35,7 @@ _CAR_RESTART = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
 
 _MOVE_STEERING = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
 _TURN_WHEELS = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
-_SEE_FAULT = "see the fault's own line above"
+_SEE_FAULT = "see in 0x520 which fault it is (fsai-vcu explain LOG names it), and put that right first"
 
 # What to do about what the supervisor found
 _REMEDIES: Final = {
@@ -189,8 +189,8 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     "ai_silent": (
         "the AI computer fell silent: none of its five messages came any more",
-        "the program ended or hung, or its CAN plug or power went: look at its log (journalctl -b -u 'fsai-bridge@*')"
-        " and at the plug",
+        "the program ended or hung, its adapter went bus-off, or its CAN plug or power went: look at its log"
+        " (journalctl -b -u 'fsai-bridge@*'), at ip -details -statistics link show can0, and at the plug",
         _TEAM_LOG,
     ),
     "ai_message_missing": (

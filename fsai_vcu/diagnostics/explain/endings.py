@@ -375,11 +375,13 @@ def early_stops(record: Record) -> Iterator[Incident]:
             yield from _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
-        # Slow after a drive, or on stands, a mission that is done stops like this: then only what the bus shows counts.
-        wheels = record.fastest_wheel.between(span.begin_ns, began_ns).values
+        # Slow after a drive, or on stands, a mission that is done stops like this: then only what the bus shows just
+        # before counts. One wheel that reads too much does not make it fast.
+        wheels = record.middle_wheel.between(span.begin_ns, began_ns).values
         slow = len(wheels) and wheels[-1] < FAST_RPM <= wheels.max()
         on_stands = record.at(sig.AMI, began_ns) == Ami.STATIC_INSPECTION_A
-        if any(one.slug not in NOT_SHOWN for one in stop.candidates) or not (slow or on_stands):
+        seen = [one for one in stop.candidates if one.slug not in NOT_SHOWN and began_ns - one.t_ns <= BEHIND_NS]
+        if seen or not (slow or on_stands):
             yield stop
 
 

@@ -34,6 +34,7 @@ Values = npt.NDArray[np.float64]
 
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
+OUT_OF_ORDER_NS: Final = 20 * MS
 _own_databases: Final = cache(load_databases)
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
@@ -272,6 +273,12 @@ class Record:
         return Series(wheels[0].t_ns, np.maximum.reduce([wheel.values for wheel in wheels]))
 
     @cached_property
+    def middle_wheel(self) -> Series:
+        """The median of the four wheels, rpm: one that reads wrong does not change it much."""
+        wheels = [self.series(signal) for signal in sig.WHEELS]
+        return Series(wheels[0].t_ns, np.median([wheel.values for wheel in wheels], axis=0))
+
+    @cached_property
     def like_official_simulator(self) -> bool:
         """The official simulator sends STATUS_BRK and STATUS_EBS as 0, always; a car in AS_READY never does."""
         brake, ebs = self.series(sig.STATUS_BRK), self.series(sig.STATUS_EBS)
@@ -340,6 +347,11 @@ def _car_channel(frames: Frames) -> int:
 
 
 def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
-    """The times with every step back taken out, and by how much each is one. before_ns: of the frame before."""
-    back_ns = np.maximum(-np.diff(t_ns, prepend=t_ns[0] if before_ns is None else before_ns), 0)
-    return t_ns + np.cumsum(back_ns), back_ns
+    """The times with every step back taken out, and by how much each is one. before_ns: of the frame before.
+
+    Small steps are no clock that was set, but frames of two receivers out of order: they do not move what follows.
+    """
+    back_ns = -np.diff(t_ns, prepend=t_ns[0] if before_ns is None else before_ns)
+    back_ns = np.where(back_ns > OUT_OF_ORDER_NS, back_ns, 0)
+    moved_ns = t_ns + np.cumsum(back_ns)
+    return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), back_ns

@@ -12,7 +12,7 @@ from operator import not_
 from typing import Final
 
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.causes import CAUSES
+from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS
 from fsai_vcu.diagnostics.explain.endings import idle, restarted, switched
 from fsai_vcu.diagnostics.explain.evidence import GONE_NS
 from fsai_vcu.diagnostics.explain.incident import (
@@ -164,6 +164,7 @@ TO_DRIVING: Final[tuple[StartCondition, ...]] = (
     StartCondition("steering_turned", _is(sig.ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
     StartCondition("direction_not_neutral", _is(sig.DIRECTION, lambda value: value == Direction.NEUTRAL)),
     StartCondition("ready_not_selected", _ready_not_selected),
+    StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
     StartCondition("link_lost", _is(COMMS_LOST, not_)),
     StartCondition("no_ai_data", _no_ai_data),
     StartCondition("steering_inactive", _is(sig.STEERING_STATUS, bool), hint=True),
@@ -174,8 +175,14 @@ TO_DRIVING: Final[tuple[StartCondition, ...]] = (
 def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> list[Candidate]:
     """What does not hold at `t_ns`: what must be put right first, then what follows from it."""
     steps = {c.slug: (c, step) for c in conditions if (step := c.unmet(record, t_ns)) is not None}
+    named = (FAULT_BITS[signal.name] for signal in sig.FAULTS if signal != COMMS_LOST and record.at(signal, t_ns))
+    fault = next(named, "fault")  # the car's own name for it says what to do
     found = [
-        candidate(slug, Sureness.FITS if c.hint or not steps.keys().isdisjoint(c.after) else Sureness.SHOWN, step)
+        candidate(
+            fault if slug == "fault" else slug,
+            Sureness.FITS if c.hint or not steps.keys().isdisjoint(c.after) else Sureness.SHOWN,
+            step,
+        )
         for slug, (c, step) in steps.items()
     ]
     return sorted(found, key=lambda one: -one.sureness)

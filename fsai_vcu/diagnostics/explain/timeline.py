@@ -234,8 +234,10 @@ def _link(record: Record) -> Iterator[TimelineEntry]:
             yield TimelineEntry(begin_ns, "link", f"{text} {longest.words()}", weight, longest.can_id)
             if longest.end_ns is not None and gone:
                 yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
+    over_ns = 0
     for answer in record.answers:
-        if answer.waited_ns >= COMMS_LOST_NS:
+        if answer.waited_ns >= COMMS_LOST_NS and answer.toggle_ns >= over_ns:  # a car that toggles on waits on
+            over_ns = answer.toggle_ns + answer.waited_ns
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
             yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
     for other in record.second_senders:
@@ -255,6 +257,5 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
         text = f"{known or f'0x{can_id:03X}'} with the wrong length ({count} frames): it counts as missing"
         yield TimelineEntry(first, "bus", text, FAULT if grave else WARNING, can_id)
     for t_ns, back_ns in record.set_back:
-        if back_ns >= MS:  # less is two frames stamped on two processors
-            text = f"the log's clock was set back by {ms(back_ns)}: what follows is moved on"
-            yield TimelineEntry(t_ns, "bus", text, WARNING)
+        text = f"the log's clock was set back by {ms(back_ns)}: what follows is moved on"
+        yield TimelineEntry(t_ns, "bus", text, WARNING)

@@ -378,10 +378,12 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     if not bus.duration_s:
         yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
-        text = f"times go backwards {bus.backwards} times: a clock was set, or logs were joined"
+        text = f"times go backwards {bus.backwards} times: a clock was set, logs joined, or frames not in order"
         yield _finding(False, "clock", text)
-    for words, count in bus.error_frames.items():
-        yield _finding(True, "error-frames", f"{count} error frames: {words}")
+    if bus.error_frames:
+        count, kinds = sum(bus.error_frames.values()), len(bus.error_frames)
+        which = (words if kinds == 1 else f"{n} {words}" for words, n in bus.error_frames.items())
+        yield _finding(True, "error-frames", f"{count} error frame{'s' * (count > 1)}: {'; '.join(which)}")
     absent = []
     for layout in bus.missing:
         own = BY_ID.get(layout.can_id)

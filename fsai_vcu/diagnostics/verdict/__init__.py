@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
+from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
@@ -26,6 +27,8 @@ from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
 
 MANY: Final = 3
+UNREAD: Final = "not everything could be read"
+NO_ECHO: Final = frozenset({"ai_silent", "bus_lost", "handshake_lost", "vcu_hung"})  # in which a handshake is lost too
 SHORT_NS: Final = 1 * S
 WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
 
@@ -67,6 +70,10 @@ class Verdict:
         )
         findings = tuple(finding for finding in self.findings if inside(finding.t_ns))
         return replace(self, explanation=explanation, findings=findings)
+
+    def unread(self, status: int) -> Verdict:
+        """The same of a log that could not be read whole, where that is the status of reading it."""
+        return replace(self, unknown=(*self.unknown, UNREAD)) if status else self
 
     def line(self) -> str:
         """In one line, without findings."""
@@ -128,16 +135,32 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
         where = (one.begin_ns, remedy, one.can_ids, record.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
-    absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
+    absent = set() if record.ai_speaks else set(AI_IDS)
+    if not record.has(STATUS):
+        absent = {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
+    firsts = [incident.candidates[0] for incident in explanation.incidents]
+    # (a message, since when) that an incident's cause names as missing, and how often an echo was with it
+    roots = {(first.steps[0].can_id, first.t_ns) for first in firsts}
+    echoes = sum(first.slug in NO_ECHO for first in firsts)
+
+    def told(bus: BusStatistics, finding: Finding) -> bool:
+        if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
+            return bus.handshake.unanswered + bus.handshake.above_100_ms <= echoes
+        begun_ns = finding.t_ns or 0
+        return finding.kind == "gap" and any(
+            can_id in finding.can_ids and abs(t_ns - begun_ns) <= AT_ONCE_NS for can_id, t_ns in roots
+        )
+
     for bus in buses:
         stopped = list(_stopped(record, bus))
         findings += stopped
         gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
             finding
-            for finding in _of_bus(bus)
-            # What follows from a second sender, or is named as unknown, is not named again.
-            if not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
+            for finding in _of_bus(bus, record)
+            # What follows from a second sender, or is named as unknown or as a cause, is not named again.
+            if not told(bus, finding)
+            and not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
@@ -157,7 +180,7 @@ def _of_incident(incident: Incident) -> Finding:
     )
 
 
-def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
+def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
     """A channel's findings; the pauses of several messages at one moment are one."""
     pauses: list[list[Finding]] = []
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
@@ -170,6 +193,8 @@ def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
         return abs(begins[0] - begins[1]) <= AT_ONCE_NS or within > 0.5 * min(lasts)
 
     for finding in judge(bus):
+        if finding.kind == "error-frames" and len(record.error_ns):
+            finding = replace(finding, t_ns=int(record.error_ns[0]), remedy=CAUSES["bus_lost"].remedy)
         if finding.kind != "gap":
             yield finding
             continue
@@ -180,11 +205,17 @@ def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
     for pause in pauses:
         ids = tuple(sorted(finding.can_ids[0] for finding in pause))
         worst = min(pause, key=lambda finding: finding.severity != "problem")
-        text = pause[0].text
+        text, begin_ns = pause[0].text, pause[0].t_ns
         if len(pause) >= MANY:
-            longest_ms = max(gaps[can_id] for can_id in ids)
-            text = f"a pause of {longest_ms:.0f} ms of {_whose(ids, len(bus.messages))}"
-        yield replace(pause[0], severity=worst.severity, text=text, can_ids=ids)
+            # While all of them were missing: before and after it a slow message has no turn.
+            spans = [(finding.t_ns or 0, round(gaps[finding.can_ids[0]] * MS)) for finding in pause]
+            shared_ns = min(begin + length for begin, length in spans) - max(begin for begin, _ in spans)
+            if shared_ns <= 0:
+                shared_ns = max(length for _, length in spans)
+            else:
+                begin_ns = max(begin for begin, _ in spans)
+            text = f"a pause of {shared_ns / MS:.0f} ms of {_whose(ids, len(bus.messages))}"
+        yield replace(pause[0], severity=worst.severity, text=text, t_ns=begin_ns, can_ids=ids)
 
 
 def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
@@ -212,6 +243,8 @@ def _whose(ids: tuple[int, ...], messages: int) -> str:
         return "the AI computer's five messages"
     if set(ids) <= set(VCU_IDS) and STATUS in ids:
         return f"{len(ids)} of the VCU's messages"
+    if STATUS in ids and set(ids).isdisjoint(AI_IDS):
+        return f"{len(ids)} of the car's messages"
     if len(ids) > messages // 2:
         return f"{len(ids)} of {messages} messages"
     return f"{len(ids)} messages ({', '.join(f'0x{can_id:03X}' for can_id in ids)})"
