@@ -271,7 +271,7 @@ ENDS = [
     refusal("FINISHED still", off, both(mission(Status.FINISHED), skidpad), "status_finished"),
     refusal("ESTOP_REQUEST is latched", off, both(operator, skidpad), "estop_latched"),
     refusal("an E-stop button is pressed", off, both(switch(car_estop=True), skidpad), "ts_not_running"),
-    refusal("an EBS fault in AS_OFF", off, switch(ebs_fault=True, ami=Ami.SKIDPAD), "fault"),
+    refusal("an EBS fault in AS_OFF", off, switch(ebs_fault=True, ami=Ami.SKIDPAD), "ebs_fault"),
     refusal("no power cycle after an emergency", ready, run_and_forget, "power_cycle", near_ns=(0, 17 * S)),
     # ---- refusals to drive
     refusal("Go after 2 s", ready, go_after(1.5), "go_too_early", seconds=1.0, near_ns=(0, 0)),

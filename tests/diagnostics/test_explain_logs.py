@@ -17,6 +17,7 @@ from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import IncidentKind
+from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.incident import Sureness
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames
@@ -180,6 +181,18 @@ def test_a_log_of_the_cars_frames_only_says_so_without_a_guess(stopped: Frames) 
     assert any("no frame of the AI computer" in problem for problem in story.problems)
     emergency = [i for i in story.incidents if i.kind is IncidentKind.EMERGENCY]
     assert emergency[0].candidates[0].slug == "sdc_open"
+
+
+def test_what_to_record_is_what_the_log_lacks_and_the_car_sends(stopped: Frames) -> None:
+    """0x181 tells an E-stop on the remote from one on the car; only 2026 cars send it."""
+    assert (stopped.can_id == 0x181).any()
+    for frames, asked in ((stopped, False), (stopped.only(stopped.can_id != 0x181), True)):
+        story = tell(frames)
+        first = story.incidents[0].candidates[0]
+        assert first.slug == "sdc_open" and bool(story.to_record(first.cause)) is asked
+        assert ("remote's E-stop and radio did not change" in first.steps[0].words) is not asked
+    other = tell(OtherStack().braked())
+    assert other.heading["revision"] == "2021" and not other.to_record(CAUSES["go_off"])
 
 
 def test_a_lost_link_without_logged_ai_frames_blames_no_message() -> None:

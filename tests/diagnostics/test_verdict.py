@@ -142,6 +142,27 @@ def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:
     assert found.t_ns == drive.t_ns[-900] and found.remedy
 
 
+@pytest.mark.parametrize(("share", "severity"), [(0.1, "problem"), (0.004, "note")])
+def test_a_recording_that_loses_frames_is_one_finding(drive: Frames, share: float, severity: str) -> None:
+    verdict = judged(drive.only(np.random.default_rng(0).random(len(drive)) > share))
+    assert [f.severity for f in verdict.findings if f.kind in ("lossy", "handshake", "gap")][:1] == [severity]
+    assert not [finding for finding in verdict.findings if "AI_COMMS_LOST" in finding.text], "no echo took 100 ms"
+
+
+def test_two_cars_on_the_bus_are_said_in_few_lines(drive: Frames) -> None:
+    other = drive.only(drive.can_id == 0x520)
+    idle = np.full(len(other), int.from_bytes(bytes.fromhex("2016013020"), "little"), np.uint64)
+    verdict = judged(in_order(drive, replace(other, t_ns=other.t_ns + 4 * MS, word=idle)))
+    assert "somebody else sends the car's messages: 0x520" in " ".join(f.text for f in verdict.findings)
+    assert len(verdict.findings) < 10 and "more like it" in verdict.findings[1].text
+
+
+def test_of_two_who_ask_no_mismatch_is_told(drive: Frames) -> None:
+    ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
+    zeros = replace(ours, t_ns=ours.t_ns + 1, word=np.zeros_like(ours.word))
+    assert kinds(in_order(drive, zeros)) == ["intruder"]
+
+
 def test_frames_out_of_order_do_not_move_what_follows(drive: Frames) -> None:
     rng = np.random.default_rng(0)
     record = Record(replace(drive, t_ns=drive.t_ns + rng.integers(0, 5 * MS, len(drive))))

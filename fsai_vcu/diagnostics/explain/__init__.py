@@ -11,6 +11,7 @@ find causes by rules, with `causes.py` as the table of their words; nothing here
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import Final
@@ -30,6 +31,7 @@ from fsai_vcu.interface.reserved import AI_IDS
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
 
+SEPARATE: Final = 5  # of a kind and cause are told one by one
 MOST_INCIDENTS: Final = 300  # of a kind: a log with more is none of a car
 _TOO_MANY: Final = (
     f"more than {MOST_INCIDENTS} incidents of a kind: only the first ones are explained; is this the car's bus?"
@@ -38,7 +40,8 @@ _TOO_MANY: Final = (
 
 def explained(record: Record) -> Explanation:
     """What happened in a log, and why."""
-    kinds = (emergencies(record), refusals(record), early_stops(record), mismatches(record))
+    asked = () if record.second_senders else mismatches(record)  # of two who ask, the car can follow one
+    kinds = (emergencies(record), refusals(record), early_stops(record), asked)
     found = [list(islice(kind, MOST_INCIDENTS + 1)) for kind in kinds]
     incidents = [incident for kind in found for incident in kind[:MOST_INCIDENTS]]
     return Explanation(
@@ -51,11 +54,25 @@ def explained(record: Record) -> Explanation:
             "seconds": round((record.end_ns - record.begin_ns) / 1e9, 6),
         },
         timeline=partial(timeline, record),
-        incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
+        incidents=tuple(_grouped(sorted(incidents, key=lambda incident: incident.t_ns), record.begin_ns)),
         closing=_closing(record),
         problems=(*_missing(record), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
+
+
+def _grouped(incidents: list[Incident], begin_ns: int) -> Iterator[Incident]:
+    """Of many of one kind and cause the first, with how many follow: a bus with two cars on it has hundreds."""
+    alike: dict[object, list[Incident]] = {}
+    for incident in incidents:
+        alike.setdefault((incident.kind, incident.planned, incident.candidates[0].slug), []).append(incident)
+    for incident in incidents:
+        group = alike[incident.kind, incident.planned, incident.candidates[0].slug]
+        if len(group) <= SEPARATE:
+            yield incident
+        elif incident is group[0]:
+            last_s = (group[-1].t_ns - begin_ns) / 1e9
+            yield replace(incident, what=f"{incident.what}; {len(group) - 1} more like it up to {last_s:.3f} s")
 
 
 def _closing(record: Record) -> str:

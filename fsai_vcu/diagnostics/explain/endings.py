@@ -315,7 +315,8 @@ def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
     on = [name for name, signal in (("ASMS", sig.AS_SWITCH), ("Go", sig.GO)) if record.at(signal, t_ns)]
     switches = f"{' and '.join(on)} {'is' if len(on) == 1 else 'are'} on, " if on else ""
     asked = "the AI computer did not ask and was in time" if record.ai_speaks else "the AI computer is not in this log"
-    checked = f"{switches}no fault bit and no SHUTDOWN_CAUSE is set, {asked}: what is left is the SDC"
+    remote = ", the remote's E-stop and radio did not change" if len(record.series(sig.REMOTE_ESTOP)) else ""
+    checked = f"{switches}no fault bit and no SHUTDOWN_CAUSE is set, {asked}{remote}: what is left is the SDC"
     return [
         candidate("sdc_open", Sureness.FITS, ChainLink(t_ns, checked, sig.STATUS)),
         candidate("unknown", Sureness.POSSIBLE, ChainLink(t_ns, "something that this log does not have")),

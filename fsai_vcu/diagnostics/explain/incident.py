@@ -149,9 +149,10 @@ class Explanation:
         return tuple(self.timeline())
 
     def to_record(self, cause: Cause) -> str:
-        """What to record next time for that cause; empty where this log has it already."""
+        """What to record next time for that cause; empty where this log has it, or this car sends no such thing."""
         wanted = {int(number, 16) for number in re.findall(r"0x([0-9A-F]{3})", cause.record)}
-        return "" if wanted and wanted <= self.recorded else cause.record
+        sent = {can_id for can_id in wanted if self.heading["revision"] in BY_ID[can_id].period_ns}
+        return "" if wanted and sent <= self.recorded else cause.record
 
     @property
     def clean(self) -> bool:

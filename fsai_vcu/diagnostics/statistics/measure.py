@@ -19,7 +19,6 @@ from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
-from fsai_vcu.diagnostics.statistics.senders import batched
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
@@ -117,7 +116,7 @@ class Handshake:
     """The AI computer's answers to the VCU: from a 0x520 with a new HANDSHAKE to the first 0x510 with that bit."""
 
     answered: int
-    unanswered: int  # toggles whose bit did not come back before the next one, or for 100 ms at the log's end
+    unanswered: int  # toggles whose bit did not come back for 100 ms
     stood_ms: float  # the longest time for which the VCU kept its bit
     response_ms: TimeSpread
     above_100_ms: int  # answers that took as long, or longer
@@ -326,11 +325,8 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
         first_ns[mine] = times[np.searchsorted(times, toggle_ns[mine])]
     in_time = first_ns < next_ns
     waited = (first_ns - toggle_ns)[in_time]
-    unanswered = ~in_time
-    if batched(asked_ns):
-        unanswered = first_ns - toggle_ns >= COMMS_LOST_NS  # stamps that do not tell which of two came first
-    if len(toggles) and asked_ns[-1] - toggle_ns[-1] < COMMS_LOST_NS:
-        unanswered[-1] = False  # the log ended before it had to be
+    # Before that, or before the log's end, an echo that is not there may come, or be a frame that the recording lost.
+    unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)
     return Handshake(
         len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(waited), int((waited >= COMMS_LOST_NS).sum())
     )

@@ -27,6 +27,9 @@ from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
 
 MANY: Final = 3
+LOSSY: Final = 5  # messages that miss frames again and again
+LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
+TWICE: Final = 1.5
 UNREAD: Final = "not everything could be read"
 NO_ECHO: Final = frozenset({"ai_silent", "bus_lost", "handshake_lost", "vcu_hung"})  # in which a handshake is lost too
 SHORT_NS: Final = 1 * S
@@ -137,7 +140,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
     absent = set() if record.ai_speaks else set(AI_IDS)
     if not record.has(STATUS):
-        absent = {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
+        absent |= {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
     firsts = [incident.candidates[0] for incident in explanation.incidents]
     # (a message, since when) that an incident's cause names as missing, and how often an echo was with it
     roots = {(first.steps[0].can_id, first.t_ns) for first in firsts}
@@ -154,6 +157,9 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
     for bus in buses:
         stopped = list(_stopped(record, bus))
         findings += stopped
+        if others := _second_car(bus):
+            findings.append(others)
+            shared |= set(others.can_ids)
         gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
             finding
@@ -180,10 +186,46 @@ def _of_incident(incident: Incident) -> Finding:
     )
 
 
+def _second_car(bus: BusStatistics) -> Finding | None:
+    """The car's messages that come far more often than one car sends them."""
+    mine = [message for message in bus.messages if message.can_id in VCU_IDS and not message.extended]
+    rates = {m.can_id: (m.expected_ms or 0.0) / m.mean_ms for m in mine if m.mean_ms}
+    twice = {can_id: rate for can_id, rate in rates.items() if rate > TWICE}
+    if not twice:
+        return None
+    names = ", ".join(f"0x{can_id:03X}" for can_id in sorted(twice))
+    text = (
+        f"somebody else sends the car's messages: {names} come {max(twice.values()):.1f} times as often as they should"
+    )
+    remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
+    return Finding("problem", "intruder", text, None, remedy, tuple(sorted(twice)), bus.channel)
+
+
+def _losing(bus: BusStatistics) -> Finding | None:
+    """Many messages that miss single frames again and again, by how many came: nothing is wrong with each of them."""
+    lost = {
+        message.can_id: message.count * (message.mean_ms / message.expected_ms - 1.0)
+        for message in bus.messages
+        if message.gaps >= MANY and message.mean_ms and message.expected_ms
+    }
+    lost = {can_id: frames for can_id, frames in lost.items() if frames >= MANY}
+    if len(lost) < LOSSY:
+        return None
+    part = sum(lost.values()) / (bus.frames + sum(lost.values()))
+    text = f"frames of {len(lost)} of {len(bus.messages)} messages are missing again and again, {part:.1%} of all"
+    remedy = "look why: the recording computer is too slow, the bus too full, or it has errors (fsai-vcu stats LOG)"
+    grave = part > LOST_SHARE
+    where = (None, remedy, tuple(sorted(lost)), bus.channel)
+    return Finding("problem" if grave else "note", "lossy", text, *where)
+
+
 def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
     """A channel's findings; the pauses of several messages at one moment are one."""
     pauses: list[list[Finding]] = []
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
+    lost = _losing(bus)
+    if lost:
+        yield lost
 
     def same(one: Finding, other: Finding) -> bool:
         """Whether two messages were missing at one time: most of the shorter pause lies within the longer one."""
@@ -197,6 +239,8 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
             finding = replace(finding, t_ns=int(record.error_ns[0]), remedy=CAUSES["bus_lost"].remedy)
         if finding.kind != "gap":
             yield finding
+            continue
+        if lost and finding.severity == "note" and finding.can_ids[0] in lost.can_ids:
             continue
         together: list[Finding] = next((pause for pause in pauses if same(pause[0], finding)), [])
         if not together:
