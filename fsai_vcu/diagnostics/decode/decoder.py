@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from fsai_vcu.diagnostics.decode.databases import Databases, UndecodableError
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
+from fsai_vcu.diagnostics.log.candump_line import MAX_STANDARD_ID
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, Words
 
 Numbers = npt.NDArray[Any]
@@ -64,12 +65,17 @@ class Decoder:
         keys = np.array([*databases.layouts, 0xFFFF_FFFF], np.uint32)
         self._order = np.argsort(keys)
         self._keys = keys[self._order]
+        self._standard = np.full(MAX_STANDARD_ID + 1, _UNKNOWN)  # a table is quicker than a search
+        short = keys <= MAX_STANDARD_ID
+        self._standard[keys[short]] = np.flatnonzero(short)
 
     def which(self, frames: Frames) -> npt.NDArray[np.int64]:
         """For each frame the index of its message; -1: in no database, -2: an error or remote frame."""
         keys = np.where(frames.flags & EXTENDED, frames.can_id | np.uint32(EXTENDED_KEY), frames.can_id)
-        places = np.searchsorted(self._keys, keys)
-        index = np.where(self._keys[places] == keys, self._order[places], _UNKNOWN)
+        index = np.take(self._standard, keys, mode="clip")
+        wide = np.flatnonzero(keys > MAX_STANDARD_ID)
+        places = np.searchsorted(self._keys, keys[wide])
+        index[wide] = np.where(self._keys[places] == keys[wide], self._order[places], _UNKNOWN)
         index[(frames.flags & (ERROR | REMOTE)) != 0] = _NO_DATA_FRAME
         return index
 

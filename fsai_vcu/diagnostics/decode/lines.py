@@ -86,7 +86,7 @@ class LineWriter:
             ',"message":null,"signals":{}}' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})"
             for can_id in ids.tolist()
         ]
-        return np.take(characters_of(texts, "\n"), where, axis=0)
+        return matrix_of([np.take(characters_of(texts), where, axis=0), b"\n"], len(can_ids))
 
     def _usual(self, layout: MessageLayout, words: Words) -> Characters:
         """What the frames of a plain message say, from their payloads."""

@@ -150,6 +150,10 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
 
 def _range(values: Values, over_ns: int) -> tuple[Values, Values]:
     """The lowest and highest value of the last `over_ns`, of one value a cycle; before the first it counts as 0."""
-    width = over_ns // PERIOD_NS
-    window = np.lib.stride_tricks.sliding_window_view(np.concatenate((np.zeros(width - 1), values)), width)
-    return window.min(axis=1), window.max(axis=1)
+    width, reach = over_ns // PERIOD_NS, 1
+    low = high = np.concatenate((np.zeros(width - 1), values))
+    while reach < width:
+        step = min(reach, width - reach)
+        low, high = np.minimum(low[step:], low[:-step]), np.maximum(high[step:], high[:-step])
+        reach += step
+    return low, high

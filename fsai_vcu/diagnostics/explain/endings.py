@@ -139,17 +139,16 @@ def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Can
 
 def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """Why the AI computer asked for the emergency brake."""
-    asked = [s for s in record.series(sig.ESTOP).spans if s.value and s.begin_ns <= t_ns + 20 * MS]
-    if not asked or asked[-1].end_ns < t_ns - BEHIND_NS:
+    first = record.series(sig.ESTOP).last(t_ns + 20 * MS)
+    if first is None or first.end_ns < t_ns - BEHIND_NS:
         words = "the car names the AI computer's request, but no 0x510 in this log has ESTOP_REQUEST 1"
         return [candidate(slug, sureness, sig.SHUTDOWN_CAUSE.step(t_ns, words))]
-    first = asked[-1]
     if first.before is None:
         step = sig.ESTOP.step(first.begin_ns, "ESTOP_REQUEST is 1 from the log's first 0x510 on")
         return [candidate(slug, sureness, step)]
     request = sig.ESTOP.step(first.begin_ns, "ESTOP_REQUEST 0 → 1: the AI computer asks")
-    begins = (s.begin_ns for s in record.series(sig.AS_STATE).spans if s.value == sig.DRIVING and s.begin_ns <= t_ns)
-    drive_ns = max(begins, default=record.begin_ns)
+    drive = record.series(sig.AS_STATE).last(t_ns, sig.DRIVING)
+    drive_ns = record.begin_ns if drive is None else drive.begin_ns
     # Who asked is reported by the car; why, by the frames before.
     if roots := found_before(record, first.begin_ns, drive_ns, emergency=True):
         return list(ranked(candidate(root.slug, sureness, *root.steps, request) for root in roots))
@@ -204,14 +203,14 @@ def _both_asked(record: Record, t_ns: int) -> ChainLink | None:
 def _turning(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """NEUTRAL or FINISHED while a wheel turned: since when it was sent."""
     signal, value = TURNING[slug]
-    reported = [s for s in record.series(signal).spans if s.value == value and s.begin_ns <= t_ns]
-    if not reported:
+    reported = record.series(signal).last(t_ns, value)
+    if reported is None:
         step = ChainLink(t_ns, f"no 0x510 of this log says {label(signal, value)}", sig.STATUS)
         return [candidate(slug, sureness, step)]
     wheels = record.fastest_wheel.at(t_ns)
     turn = "" if wheels is None else f" while a wheel turns at {wheels:.0f} rpm"
-    words = f"{signal.name} {label(signal, reported[-1].before)} → {label(signal, value)}{turn}"
-    return [candidate(slug, sureness, signal.step(reported[-1].begin_ns, words))]
+    words = f"{signal.name} {label(signal, reported.before)} → {label(signal, value)}{turn}"
+    return [candidate(slug, sureness, signal.step(reported.begin_ns, words))]
 
 
 TURNING: Final[Mapping[str, tuple[Signal, float]]] = {

@@ -6,13 +6,11 @@ monotonic: where that clock was set back, what follows is moved forward by as mu
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from operator import attrgetter
-from typing import Final
+from typing import Final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +21,7 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.signals import Signal
-from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints
+from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
@@ -60,7 +58,40 @@ class Span:
     after: float | None
 
 
-BEGIN: Final = attrgetter("begin_ns")
+@dataclass(frozen=True)
+class Spans(Sequence[Span]):
+    """Spans as columns. apart: where the log begins or a pause was before a span, and True for the log's end."""
+
+    begin_ns: Ints
+    end_ns: Ints
+    values: Values
+    apart: Mask
+
+    def __len__(self) -> int:
+        return len(self.begin_ns)
+
+    @overload
+    def __getitem__(self, place: int) -> Span: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[Span]: ...
+    def __getitem__(self, place: int | slice) -> Span | list[Span]:
+        if isinstance(place, slice):
+            return list(self._between(*place.indices(len(self))[:2]))
+        at = range(len(self))[place]
+        return next(self._between(at, at + 1))
+
+    def __iter__(self) -> Iterator[Span]:
+        return self._between(0, len(self))
+
+    def _between(self, low: int, high: int) -> Iterator[Span]:
+        apart = self.apart[low : high + 1].tolist()
+        values = [*([] if low else [None]), *self.values[max(low - 1, 0) : high + 1].tolist(), None]
+        before = [None if alone else value for alone, value in zip(apart, values, strict=False)]
+        after = [None if alone else value for alone, value in zip(apart[1:], values[2:], strict=False)]
+        return map(Span, self.begin_ns[low:high].tolist(), self.end_ns[low:high].tolist(), values[1:], before, after)
+
+
+NO_SPANS: Final = Spans(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.ones(1, np.bool_))
 
 
 @dataclass(frozen=True)
@@ -79,32 +110,34 @@ class Series:
         return float(self.values[place]) if place >= 0 else None
 
     @cached_property
-    def spans(self) -> Sequence[Span]:
+    def spans(self) -> Spans:
         """What was sent, change by change."""
         return self.spans_within(np.iinfo(np.int64).max)
 
-    def spans_within(self, longest_ns: int) -> Sequence[Span]:
+    def spans_within(self, longest_ns: int) -> Spans:
         """What was sent, change by change; where no frame came for longer, a span ends with the last one before."""
         if not len(self.t_ns):
-            return ()
+            return NO_SPANS
         missing = np.diff(self.t_ns, prepend=self.t_ns[0]) > longest_ns
         starts = np.flatnonzero(np.append(True, np.diff(self.values) != 0) | missing)
-        begins, values = self.t_ns[starts].tolist(), self.values[starts].tolist()
-        ends = np.append(self.t_ns[starts[1:] - missing[starts[1:]]], self.t_ns[-1]).tolist()
-        apart = missing[starts[1:]].tolist()
-        before = [None if pause else value for pause, value in zip(apart, values, strict=False)]
-        after = [None if pause else value for pause, value in zip(apart, values[1:], strict=True)]
-        return tuple(map(Span, begins, ends, values, [None, *before], [*after, None]))
+        ends = np.append(self.t_ns[starts[1:] - missing[starts[1:]]], self.t_ns[-1])
+        apart = np.concatenate(([True], missing[starts[1:]], [True]))
+        return Spans(self.t_ns[starts], ends, self.values[starts], apart)
 
     def span_at(self, t_ns: int) -> Span | None:
         """The span in force at `t_ns`."""
-        place = bisect_right(self.spans, t_ns, key=BEGIN) - 1
+        place = int(np.searchsorted(self.spans.begin_ns, t_ns, side="right")) - 1
         return self.spans[place] if place >= 0 else None
+
+    def last(self, t_ns: int, *values: float) -> Span | None:
+        """The last span with one of these values (none named: any but 0) that begins up to and including `t_ns`."""
+        found = self.spans.values != 0 if not values else np.isin(self.spans.values, values)
+        places = np.flatnonzero(found & (self.spans.begin_ns <= t_ns))
+        return self.spans[int(places[-1])] if len(places) else None
 
     def begun(self, begin_ns: int, end_ns: int) -> Sequence[Span]:
         """Spans that begin from `begin_ns` up to and including `end_ns`."""
-        low = bisect_left(self.spans, begin_ns, key=BEGIN)
-        high = bisect_right(self.spans, end_ns, low, key=BEGIN)
+        low, high = np.searchsorted(self.spans.begin_ns, (begin_ns, end_ns + 1)).tolist()
         return self.spans[low:high]
 
     def between(self, begin_ns: int, end_ns: int) -> Series:
@@ -323,13 +356,12 @@ class Record:
         echo = self.series(sig.ECHO)
         times = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
         found = []
-        for span in asked.spans if len(echo) else ():
-            if span.begin_ns >= echo.t_ns[0]:
-                bit = int(span.value)
-                first = int(np.searchsorted(times[bit], span.begin_ns))
-                echo_ns = int(times[bit][first]) if first < len(times[bit]) else None
-                waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
-                found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
+        for span in asked.spans[int(np.searchsorted(asked.spans.begin_ns, echo.t_ns[0])) :] if len(echo) else ():
+            bit = int(span.value)
+            first = int(np.searchsorted(times[bit], span.begin_ns))
+            echo_ns = int(times[bit][first]) if first < len(times[bit]) else None
+            waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
+            found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
         return tuple(found)
 
     @cached_property

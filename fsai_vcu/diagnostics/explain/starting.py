@@ -97,11 +97,11 @@ def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
     ends = (sig.EMERGENCY,) if record.revision.name == "2021" else (sig.EMERGENCY, sig.FINISHED)
     if record.like_official_simulator:
         return None  # ASMS alone resets it
-    runs = [s for s in record.series(sig.AS_STATE).spans if s.begin_ns <= t_ns and s.value in ends]
-    if not runs or any(runs[-1].end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
+    run = record.series(sig.AS_STATE).last(t_ns, *ends)
+    if run is None or any(run.end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
         return None
-    words = f"the last run ended in {label(sig.AS_STATE, runs[-1].value)}, and 0x520 has not been away since"
-    return sig.AS_STATE.step(runs[-1].end_ns, words)
+    words = f"the last run ended in {label(sig.AS_STATE, run.value)}, and 0x520 has not been away since"
+    return sig.AS_STATE.step(run.end_ns, words)
 
 
 def _fault(record: Record, t_ns: int) -> ChainLink | None:

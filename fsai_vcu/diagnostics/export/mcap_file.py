@@ -8,6 +8,8 @@ constants. A field of an integer that a row may lack is a float64, NaN where it 
 from __future__ import annotations
 
 import re
+import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,9 +17,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
+import numpy.typing as npt
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, Metadata, MetadataIndex, Schema
+from mcap.writer import MCAP0_MAGIC
 
+from fsai_vcu.diagnostics.export.mcap_summary import Summary
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Table
+from fsai_vcu.diagnostics.log.characters import put
+from fsai_vcu.diagnostics.log.frames import Ints
 
 PROFILE: Final = "ros2"
 ENCODING, SCHEMA_ENCODING = "cdr", "ros2msg"
@@ -26,6 +36,11 @@ _CDR_HEAD: Final = b"\0\1\0\0"  # CDR of the XCDR1 kind, little-endian
 _CHUNK_BYTES: Final = 1 << 20
 # A table's row in CDR: head and stamp, then a field of eight bytes for each column, so that nothing is padded.
 _STAMP: Final = (("head", "V4"), ("sec", "<i4"), ("nanosec", "<u4"))
+# A message's record up to its data.
+_MESSAGE: Final = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("published", "<i8")]
+)
+_RECORD_HEAD_BYTES: Final = 1 + 8  # opcode and length
 _RULE: Final = "=" * 80
 _TIME: Final = f"{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 
@@ -64,50 +79,140 @@ class McapTables:
 
     def __init__(self, stream: Any, metadata: Mapping[str, str] | None = None) -> None:
         """`stream` has write, tell and flush; `metadata` is kept in the file under the name 'fsai-vcu'."""
-        self._writer: Any = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(PROFILE, library="fsai-vcu")
-        if metadata:
-            self._writer.add_metadata("fsai-vcu", dict(metadata))
+        self._stream = stream
+        self._summary = Summary()
         self._tables: dict[str, int] = {}
         self._topics: dict[tuple[str, str], int] = {}
         self._types: dict[tuple[str, str], int] = {}  # numbers of schemas, by name and definition
-        self._sequences: dict[int, int] = {}
+        self._sequences: Counter[int] = Counter()
+        builder: Any = RecordBuilder
+        self._records = builder()  # of the chunk in hand
+        self._messages: list[tuple[Ints, Ints, Ints]] = []  # in it: channels, times, places
+        stream.write(MCAP0_MAGIC)
+        out = self._records
+        Header(PROFILE, "fsai-vcu").write(out)
+        stream.write(out.end())
+        if metadata:
+            Metadata("fsai-vcu", dict(metadata)).write(out)
+            self._summary.metadata.append(MetadataIndex(stream.tell(), out.count, "fsai-vcu"))
+            stream.write(out.end())
 
     def write_together(self, several: Sequence[Rows]) -> None:
         """Rows of several tables, in order of time."""
-        messages: list[tuple[int, int, bytes]] = []
-        for rows in several:
-            if rows.table.name not in self._tables:
-                self._tables[rows.table.name] = self._number_of(topic_of(rows.table))
-            number = self._tables[rows.table.name]
-            times = np.maximum(rows.t_ns, 0).tolist()
-            messages += [(t_ns, number, data) for t_ns, data in zip(times, _packed(rows), strict=True)]
-        for t_ns, number, data in sorted(messages, key=lambda message: message[0]):
-            self._add(number, data, t_ns, t_ns)
+        tables = [self._packed(rows) for rows in several]
+        numbers, times, widths = (
+            np.concatenate([np.zeros(0, np.int64), *columns])
+            for columns in (
+                [records["channel"] for records in tables],
+                [records["log"] for records in tables],
+                [np.full(len(records), records.itemsize) for records in tables],
+            )
+        )
+        order = np.argsort(times, kind="stable")
+        ends = np.cumsum(widths[order])
+        begins = np.empty_like(ends)
+        begins[order] = ends - widths[order]
+        out = bytearray(int(widths.sum()))
+        first = 0
+        for records in tables:
+            put(out, begins[first : first + len(records)], records.view(np.uint8).reshape(-1, records.itemsize))
+            first += len(records)
+        self._add(memoryview(out), ends, numbers[order], times[order])
 
     def write_message(self, message: RosMessage) -> None:
-        self._add(self._number_of(message.topic), message.data, max(0, message.log_ns), max(0, message.published_ns))
+        number = self._number_of(message.topic)
+        self._sequences[number] += 1
+        times = max(0, message.log_ns), max(0, message.published_ns)
+        head = np.array([(*_head_of(len(message.data)), number, self._sequences[number], *times)], _MESSAGE)
+        record = head.tobytes() + message.data
+        self._add(memoryview(record), np.array([len(record)]), head["channel"], head["log"])
 
     def flush(self) -> None:
         """Ends the chunk in hand: everything written so far is in the stream, whole."""
-        self._writer.flush()
+        self._end_chunk()
+        self._stream.flush()
 
     def finish(self) -> None:
-        self._writer.finish()
+        self._end_chunk()
+        self._stream.write(self._summary.end(self._stream.tell()))
 
-    def _add(self, number: int, data: bytes, log_ns: int, published_ns: int) -> None:
-        sequence = self._sequences[number] = self._sequences.get(number, 0) + 1
-        self._writer.add_message(number, log_ns, data, published_ns, sequence)
+    def _packed(self, rows: Rows) -> npt.NDArray[Any]:
+        """Each row as the record of a message, in order of time."""
+        if rows.table.name not in self._tables:
+            self._tables[rows.table.name] = self._number_of(topic_of(rows.table))
+        number = self._tables[rows.table.name]
+        kinds = [np.dtype(_field_kind(column)).newbyteorder("<") for column in rows.table.columns]
+        fields = [(f"f{at}", kind) for at, kind in enumerate(kinds)]
+        out = np.zeros(len(rows), [*_MESSAGE.descr, *_STAMP, *fields])
+        out["opcode"], out["length"] = _head_of(out.itemsize - _MESSAGE.itemsize)
+        out["channel"] = number
+        out["log"] = out["published"] = np.maximum(rows.t_ns, 0)
+        seconds, nanoseconds = np.divmod(rows.t_ns, 1_000_000_000)
+        out["head"] = np.void(_CDR_HEAD)
+        out["sec"], out["nanosec"] = np.minimum(seconds, 0x7FFF_FFFF), nanoseconds
+        for (name, kind), values in zip(fields, rows.values, strict=True):
+            out[name] = np.where(values.mask, np.nan, values.data) if kind.kind == "f" else values.data
+        if (np.diff(rows.t_ns) < 0).any():
+            out = out[np.argsort(out["log"], kind="stable")]
+        out["sequence"] = self._sequences[number] + 1 + np.arange(len(rows))
+        self._sequences[number] += len(rows)
+        return out
+
+    def _add(self, records: memoryview, ends: Ints, numbers: Ints, times: Ints) -> None:
+        """Records of messages, one behind the other; a chunk ends with the first that is beyond its size."""
+        begins = np.concatenate(([0], ends))
+        row = 0
+        while row < len(ends):
+            at, room = int(begins[row]), _CHUNK_BYTES - self._records.count
+            upto = min(max(int(np.searchsorted(ends, at + room, side="right")), row) + 1, len(ends))
+            places = begins[row:upto] + (self._records.count - at)
+            self._messages.append((numbers[row:upto], times[row:upto], places))
+            self._records.write(records[at : int(ends[upto - 1])])
+            if self._records.count > _CHUNK_BYTES:
+                self._end_chunk()
+            row = upto
+
+    def _end_chunk(self) -> None:
+        if not self._messages:
+            return
+        numbers, times, places = (np.concatenate(columns) for columns in zip(*self._messages, strict=True))
+        self._messages.clear()
+        out, at, data = self._records, self._stream.tell(), self._records.end()
+        chunk = Chunk(
+            compression="zstd",
+            data=zstandard.compress(data),
+            message_end_time=int(times.max()),
+            message_start_time=int(times.min()),
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        chunk.write(out)
+        self._summary.add_chunk(chunk, at, at + out.count)
+        for number in np.unique(numbers).tolist():
+            mine, begin = numbers == number, out.count
+            entries = np.stack((times[mine], places[mine]), axis=1).astype("<u8").tobytes()
+            out.start_record(Opcode.MESSAGE_INDEX)
+            out.write2(number)
+            out.write4(len(entries))
+            out.write(entries)
+            out.finish_record()
+            self._summary.add_messages(number, int(mine.sum()), at + begin, at + out.count)
+        self._stream.write(out.end())
 
     def _number_of(self, topic: RosTopic) -> int:
         """Of the topic's channel, registered when it is first met."""
         key, kind = (topic.name, topic.type_name), (topic.type_name, topic.definition)
         if kind not in self._types:
-            data = topic.definition.encode()
-            self._types[kind] = self._writer.register_schema(topic.type_name, SCHEMA_ENCODING, data)
+            number = self._types[kind] = len(self._types) + 1
+            schema = Schema(number, topic.definition.encode(), SCHEMA_ENCODING, topic.type_name)
+            self._summary.schemas[number] = schema
+            schema.write(self._records)
         if key not in self._topics:
+            number = self._topics[key] = len(self._topics) + 1
             qos = {"offered_qos_profiles": topic.qos}
-            self._topics[key] = self._writer.register_channel(topic.name, ENCODING, self._types[kind], qos)
+            channel = Channel(number, topic.name, ENCODING, qos, self._types[kind])
+            self._summary.channels[number] = channel
+            channel.write(self._records)
         return self._topics[key]
 
 
@@ -115,18 +220,9 @@ def _field_kind(column: Column) -> str:
     return "float64" if column.optional or column.kind == "object" else column.kind
 
 
-def _packed(rows: Rows) -> list[bytes]:
-    """Each row as a message."""
-    kinds = [np.dtype(_field_kind(column)).newbyteorder("<") for column in rows.table.columns]
-    fields = [(f"f{at}", kind) for at, kind in enumerate(kinds)]
-    out = np.zeros(len(rows), [*_STAMP, *fields])
-    seconds, nanoseconds = np.divmod(rows.t_ns, 1_000_000_000)
-    out["head"] = np.void(_CDR_HEAD)
-    out["sec"], out["nanosec"] = np.minimum(seconds, 0x7FFF_FFFF), nanoseconds
-    for (name, kind), values in zip(fields, rows.values, strict=True):
-        out[name] = np.where(values.mask, np.nan, values.data) if kind.kind == "f" else values.data
-    whole, size = out.tobytes(), out.dtype.itemsize
-    return [whole[at : at + size] for at in range(0, len(whole), size)]
+def _head_of(length: int) -> tuple[int, int]:
+    """Opcode and length of the record of a message with so many bytes of data."""
+    return Opcode.MESSAGE, _MESSAGE.itemsize - _RECORD_HEAD_BYTES + length
 
 
 def topic_of(table: Table) -> RosTopic:

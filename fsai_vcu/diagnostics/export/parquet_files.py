@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,13 +17,15 @@ from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
 
 pa: Any = import_module("pyarrow")  # it ships no types
 pq: Any = import_module("pyarrow.parquet")
+_WAITING: Final = 8  # batches
 
 
 @contextmanager
 def parquet_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Callable[[Rows], None]]:
     """Writes each table to the file that `path_of` names. words: instead of numbers, where the database has them."""
     writers: dict[str, Any] = {}
-    with ExitStack() as opened:
+    pending: deque[Future[None]] = deque()
+    with ExitStack() as opened, ThreadPoolExecutor(1) as behind:  # packing needs no Python
 
         def write(rows: Rows) -> None:
             table = rows.table
@@ -31,9 +35,13 @@ def parquet_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[
             schema = writers[table.name].schema
             columns = zip(table.columns, rows.values, schema.types[1:], strict=True)
             arrays = [pa.array(rows.t_ns, schema.types[0]), *(_array(*column) for column in columns)]
-            writers[table.name].write_batch(pa.record_batch(arrays, schema=schema))
+            pending.append(behind.submit(writers[table.name].write_batch, pa.record_batch(arrays, schema=schema)))
+            while len(pending) > _WAITING:
+                pending.popleft().result()
 
         yield write
+        for each in pending:
+            each.result()
 
 
 def _schema(table: Table, *, words: bool) -> Any:

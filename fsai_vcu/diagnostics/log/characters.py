@@ -11,9 +11,9 @@ Characters = npt.NDArray[np.uint8]
 Part = bytes | Characters
 
 
-def characters_of(texts: Sequence[str], end: str = "") -> Characters:
-    """One text and `end` a row, NUL behind. No text has a line end in it."""
-    array = np.array([text + end.encode() for text in "\n".join(texts).encode().split(b"\n")])
+def characters_of(texts: Sequence[str]) -> Characters:
+    """One text a row, NUL behind. No text has a line end in it."""
+    array = np.array("\n".join(texts).encode().split(b"\n"))
     return array.view(np.uint8).reshape(len(array), -1)
 
 

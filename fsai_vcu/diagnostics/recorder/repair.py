@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from mcap.records import Channel, Chunk, ChunkIndex, MessageIndex, MetadataIndex, Schema
+    from mcap.records import Channel, Chunk, MessageIndex, Schema
+
+    from fsai_vcu.diagnostics.export.mcap_summary import Summary
 
 _TAIL: Final = 1 << 16
 
@@ -36,9 +38,11 @@ def repair_mcap(path: Path) -> int | None:
     Chunks are not written anew; messages are read only of the last one and of those that bring a new channel.
     """
     from mcap.data_stream import RecordBuilder
-    from mcap.records import Chunk, DataEnd, Footer, Header, MessageIndex, Metadata, MetadataIndex, Statistics
-    from mcap.stream_reader import StreamReader
+    from mcap.records import Chunk, DataEnd, Header, MessageIndex, Metadata, MetadataIndex
+    from mcap.stream_reader import StreamReader, get_chunk_data_stream
     from mcap.writer import MCAP0_MAGIC
+
+    from fsai_vcu.diagnostics.export.mcap_summary import Summary
 
     with path.open("r+b") as file:
         length = file.seek(0, os.SEEK_END)
@@ -46,7 +50,8 @@ def repair_mcap(path: Path) -> int | None:
         if length > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC:
             return None
         file.seek(0)
-        summary = _Summary()
+        summary = Summary()
+        last: Chunk | None = None
         end = 0
         with suppress(Exception):  # what is torn makes its readers raise many things
             for record in StreamReader(file, emit_chunks=True).records:
@@ -54,9 +59,12 @@ def repair_mcap(path: Path) -> int | None:
                 if isinstance(record, DataEnd):
                     break
                 if isinstance(record, Chunk):
+                    get_chunk_data_stream(record, validate_crc=True)
+                    _learn_channels(summary, last)
                     summary.add_chunk(record, at, behind)
+                    last = record
                 elif isinstance(record, MessageIndex):
-                    summary.add_messages(record, at, behind)
+                    summary.add_messages(record.channel_id, len(record.records), at, behind)
                 elif isinstance(record, Metadata):
                     summary.metadata.append(MetadataIndex(at, behind - at, record.name))
                 end = behind
@@ -65,91 +73,30 @@ def repair_mcap(path: Path) -> int | None:
         if not end:  # not even a beginning was on the disk
             out.write(MCAP0_MAGIC)
             Header("", "").write(out)
-        if summary.last is not None:  # its indexes may be missing: they are written anew, which takes nothing away
+        if last is not None:  # its indexes may be missing: they are written anew, which takes nothing away
             index = summary.chunks[-1]
             end = index.chunk_start_offset + index.chunk_length
             index.message_index_length = 0
-            for messages in _contents(summary.last)[2].values():
+            for messages in _contents(last)[2].values():
                 at = out.count
                 messages.write(out)
-                summary.add_messages(messages, end + at, end + out.count)
-            summary.learn_channels()
-        DataEnd(0).write(out)  # a checksum of 0: none
-        summary_start = end + out.count
-        for records in (summary.schemas.values(), summary.channels.values(), summary.chunks, summary.metadata):
-            for each in records:
-                each.write(out)
-        counts = summary.counts()
-        Statistics(
-            attachment_count=0,
-            channel_count=len(summary.channels),
-            channel_message_counts=counts,
-            chunk_count=len(summary.chunks),
-            message_count=sum(counts.values()),
-            metadata_count=len(summary.metadata),
-            message_start_time=min((index.message_start_time for index in summary.chunks), default=0),
-            message_end_time=max((index.message_end_time for index in summary.chunks), default=0),
-            schema_count=len(summary.schemas),
-        ).write(out)
-        Footer(summary_start, 0, 0).write(out)
+                summary.add_messages(messages.channel_id, len(messages.records), end + at, end + out.count)
+            _learn_channels(summary, last)
+        out.write(summary.end(end + out.count))
         file.seek(end)
-        file.write(out.end() + MCAP0_MAGIC)
+        file.write(out.end())
         file.truncate()
         file.flush()
         os.fsync(file.fileno())
     return max(0, length - kept)
 
 
-class _Summary:
-    """What is known of the whole chunks so far; `last` is the newest of them."""
-
-    def __init__(self) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.chunks: list[ChunkIndex] = []
-        self.metadata: list[MetadataIndex] = []
-        self.last: Chunk | None = None
-        self._counts: list[dict[int, int]] = []  # of each chunk's messages, by channel
-
-    def add_chunk(self, chunk: Chunk, at: int, behind: int) -> None:
-        """Raises whatever a torn one makes its reader raise."""
-        from mcap.records import ChunkIndex
-        from mcap.stream_reader import get_chunk_data_stream
-
-        get_chunk_data_stream(chunk, validate_crc=True)
-        self.learn_channels()
-        self.last = chunk
-        self._counts.append({})
-        self.chunks.append(
-            ChunkIndex(
-                chunk_length=behind - at,
-                chunk_start_offset=at,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=0,
-                message_index_offsets={},
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
-        )
-
-    def add_messages(self, messages: MessageIndex, at: int, behind: int) -> None:
-        """Of the last chunk."""
-        self.chunks[-1].message_index_offsets[messages.channel_id] = at
-        self.chunks[-1].message_index_length += behind - at
-        self._counts[-1][messages.channel_id] = len(messages.records)
-
-    def learn_channels(self) -> None:
-        """Those that the last chunk brings, once its messages are known."""
-        if self.last is not None and not self._counts[-1].keys() <= self.channels.keys():
-            schemas, channels, _ = _contents(self.last)
-            self.schemas |= schemas
-            self.channels |= channels
-
-    def counts(self) -> dict[int, int]:
-        """Messages by channel."""
-        return {channel: sum(count.get(channel, 0) for count in self._counts) for channel in self.channels}
+def _learn_channels(summary: Summary, last: Chunk | None) -> None:
+    """Those that the last chunk brings, once its messages are known."""
+    if last is not None and not summary.counts[-1].keys() <= summary.channels.keys():
+        schemas, channels, _ = _contents(last)
+        summary.schemas |= schemas
+        summary.channels |= channels
 
 
 def _contents(chunk: Chunk) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, MessageIndex]]:

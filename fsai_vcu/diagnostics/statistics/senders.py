@@ -133,6 +133,8 @@ def _contradicting(frames: Frames, rows: Ints, layout: MessageLayout | None) -> 
     after = np.abs(values[2:] - values[1:-1]).max(axis=1)
     across = np.abs(values[2:] - values[:-2]).max(axis=1)
     hits[1:-1] = np.minimum(before, after) > 3 * across + APART - 1
+    if not hits.any():
+        return hits
     if batched(t_ns):
         places = np.flatnonzero(hits)
         near = [(np.abs(t_ns[places] - t_ns[place]) < LONG_NS).sum() for place in places]

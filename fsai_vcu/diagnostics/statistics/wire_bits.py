@@ -2,11 +2,13 @@
 
 A classic frame is SOF, arbitration, control, data and CRC, all of it stuffed (after five bits alike comes one of the
 other kind), then CRC delimiter, acknowledge, its delimiter, seven bits of end and three of intermission (ISO 11898-1).
-CRC and stuffing go bit by bit, all frames of one length at once.
+CRC and stuffing go byte by byte through tables, all frames of one length at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -19,7 +21,8 @@ _UNSTUFFED_BITS: Final = 1 + 1 + 1 + 7 + 3  # behind the CRC
 _CRC_BITS: Final = 15
 _AT_ONCE: Final = 1 << 15  # frames: what fits a processor's cache is done fastest
 
-Bits = npt.NDArray[np.uint8]  # [place, frame]
+Bytes = npt.NDArray[np.uint8]
+Halves = npt.NDArray[np.uint16]
 
 
 def wire_bits(frames: Frames) -> Ints:
@@ -43,39 +46,68 @@ def wire_bits(frames: Frames) -> Ints:
     return bits
 
 
-def _classic_bits(can_id: Ints, data: Bits, flags: int, length: int) -> Ints:
+def _classic_bits(can_id: Ints, data: Bytes, flags: int, length: int) -> Ints:
     """`can_id` [n] and `data` [n, 8] of frames that have the flags and the length in common."""
     control = (1 << 6 if flags & REMOTE else 0) | min(length, CLASSIC_BYTES)
+    header, bits = can_id << 7 | control, 1 + 11 + 7
     if flags & EXTENDED:
         arbitration = (can_id >> 18 << 2 | 0b11) << 18 | can_id & 0x3FFFF  # 11 bits of the id, SRR, IDE, 18 of the id
-        header = _bits_of(arbitration << 7 | control, 1 + 31 + 7)
-    else:
-        header = _bits_of(can_id << 7 | control, 1 + 11 + 7)
-    payload = data[:, : 0 if flags & REMOTE else length]
-    stuffed = np.concatenate((header, np.unpackbits(payload, axis=1).T))
-    stuffed = np.concatenate((stuffed, _bits_of(_crc(stuffed), _CRC_BITS)))
-    return len(stuffed) + _stuff_bits(stuffed) + _UNSTUFFED_BITS
+        header, bits = arbitration << 7 | control, 1 + 31 + 7
+    payload = [np.ascontiguousarray(column) for column in data[:, : 0 if flags & REMOTE else length].T]
+    crc = _crc([*_bytes_of(header, bits), *payload])
+    # Filled up to whole bytes by what brings no stuff bit: 1 and 0 in turns before the first 0, and at the end another.
+    filled = header | (0b1010101 << bits) & ((1 << -(-bits // 8) * 8) - 1)
+    tail = _bytes_of(crc.astype(np.int64) << 1 | ~crc & 1, _CRC_BITS + 1)
+    return (
+        bits + 8 * len(payload) + _CRC_BITS + _stuff_bits([*_bytes_of(filled, bits), *payload, *tail]) + _UNSTUFFED_BITS
+    )
 
 
-def _bits_of(numbers: npt.NDArray[np.integer], count: int) -> Bits:
-    """The `count` lowest bits of each number, the highest first."""
-    return (numbers >> np.arange(count, dtype=numbers.dtype)[::-1, None] & 1).astype(np.uint8)
+def _bytes_of(numbers: Ints, bits: int) -> list[Bytes]:
+    """The lowest bits of each number, and some above, as bytes, the highest first."""
+    return [(numbers >> shift).astype(np.uint8) for shift in range((bits - 1) // 8 * 8, -1, -8)]
 
 
-def _crc(bits: Bits) -> npt.NDArray[np.uint16]:
-    crc = np.zeros(bits.shape[1], np.uint16)
-    for bit in bits:
-        crc = crc << 1 ^ ((crc >> 14 ^ bit) & 1) * np.uint16(CRC15)
+def _crc(parts: Sequence[Bytes]) -> Halves:
+    """Of numbers whose bytes are the parts; zeros in front change nothing."""
+    crc: Halves = np.zeros(len(parts[0]), np.uint16)
+    for part in parts:
+        crc = crc << np.uint16(8) ^ np.take(_crc_table(), (crc >> np.uint16(7)).astype(np.uint8) ^ part)
+    return crc & np.uint16(0x7FFF)
+
+
+def _stuff_bits(parts: Sequence[Bytes]) -> Ints:
+    """How many come into numbers whose bytes are the parts."""
+    count = np.zeros(len(parts[0]), np.uint8)
+    state: Halves = np.zeros(len(parts[0]), np.uint16)
+    for part in parts:
+        found = np.take(_stuff_table(), state | part)
+        count += found.astype(np.uint8)
+        state = found & np.uint16(0xFF00)
+    return count.astype(np.int64)
+
+
+@cache
+def _crc_table() -> Halves:
+    """What a byte makes of the checksum, by its bits."""
+    one = np.uint16(1)
+    crc: Halves = np.arange(256, dtype=np.uint16) << np.uint16(7)
+    for _ in range(8):
+        crc = crc << one ^ (crc >> np.uint16(14) & one) * np.uint16(CRC15)
     return crc
 
 
-def _stuff_bits(bits: Bits) -> Ints:
-    count = np.zeros(bits.shape[1], np.int64)
-    last, alike = np.ones_like(bits[0]), np.zeros_like(bits[0])  # an idle bus is 1
-    for bit in bits:
-        alike = alike * (bit == last) + np.uint8(1)
-        stuff = (alike == 5).view(np.uint8)
+@cache
+def _stuff_table() -> Halves:
+    """By state and byte: the next state above, the stuff bits below. State: the last bit, and how many are alike."""
+    number = np.arange(16 << 8)
+    last, alike = number >> 11, number >> 8 & 7
+    count = np.zeros_like(number)
+    for shift in range(7, -1, -1):
+        bit = number >> shift & 1
+        alike = alike * (bit == last) + 1
+        stuff = (alike == 5).astype(np.int64)
         count += stuff
         last = bit ^ stuff
         alike -= 4 * stuff  # the stuff bit begins a run of its own
-    return count
+    return ((last << 3 | alike & 7) << 8 | count).astype(np.uint16)
