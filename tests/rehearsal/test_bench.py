@@ -123,4 +123,4 @@ def test_without_a_baseline_the_check_says_which_is_missing(
     checked: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert checked([], "--check") == 1
-    assert "baseline.json: No such file or directory" in capsys.readouterr().err
+    assert "baseline.json; this makes one: make bench-check ARGS=--write" in capsys.readouterr().err

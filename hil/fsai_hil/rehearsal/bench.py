@@ -526,6 +526,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parsed(argv)
     here = machine()
     print(f"{here['processor']} x {here['processors']}, {here['kernel']}, Python {here['python']}", flush=True)
+    if args.check and not args.write and not BASELINE.exists():
+        return complain(f"there is no {BASELINE}; this makes one: make bench-check ARGS=--write")
     began = time.monotonic()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
