@@ -34,6 +34,7 @@ SIGMA_M, SIGMA_PER_M = 0.05, 0.01  # of a cone seen, with its distance
 DRIFT_M, DRIFT_PER_M = 0.004, 0.01  # of odometry between two observations
 DRIFT_RAD, DRIFT_RAD_PER_M = 0.0007, 0.0015
 CLOSED_LOOSER = 3.0  # a whole map is believed more, and raced in: wheels slip more
+SETTLED = 0.02  # m and rad: a pose moved by less is moved once
 FIT_GAIN = 0.2
 TAKING_FIT = 0.6  # a car that is lost does not change the map
 TRACK_STEP_M = 0.5
@@ -176,10 +177,12 @@ class ConeMap:
             self.changed |= bool(_gaps(cones["xy"][news], self.lap_xy_m).min() < BORDER_M)
         if len(gone):
             cones = np.delete(cones, gone)
-        added = np.zeros(int(new.sum()), _CONE)
-        added["xy"], added["hits"], added["trust"], added["known"] = at[new], 1.0, TRUST_NEW, np.inf
-        added["first_m"] = added["last_m"] = added["way_m"] = here.distance_m
-        self._cones = np.concatenate((cones, added))
+        if new.any():
+            added = np.zeros(int(new.sum()), _CONE)
+            added["xy"], added["hits"], added["trust"], added["known"] = at[new], 1.0, TRUST_NEW, np.inf
+            added["first_m"] = added["last_m"] = added["way_m"] = here.distance_m
+            cones = np.concatenate((cones, added))
+        self._cones = cones
 
     def _spread(self, found: Motion, begun_m: float) -> Floats:
         """Bend the way driven, and the cones seen from it, so that it ends where the car was found. Returns the way.
@@ -223,9 +226,8 @@ def registered(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats, drift_m: flo
     spread = SIGMA_M + SIGMA_PER_M * _lengths(seen_xy_m)
     for _ in range(2):
         at = to_odometry(here, seen_xy_m)
-        gap = _gaps(at, fixed_xy_m)
-        error = fixed_xy_m[gap.argmin(axis=1)] - at
-        size = np.maximum(gap.min(axis=1), 1e-9)
+        error = fixed_xy_m[_gaps(at, fixed_xy_m).argmin(axis=1)] - at
+        size = np.maximum(_lengths(error), 1e-9)
         weight = np.where(size < GATE_M, np.minimum(1.0, 2.0 * spread / size) / spread**2, 0.0)  # Huber's
         arm_x, arm_y = at[:, 0] - here.x_m, at[:, 1] - here.y_m
         sum_w, sum_x, sum_y = weight.sum(), weight @ arm_x, weight @ arm_y
@@ -237,6 +239,8 @@ def registered(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats, drift_m: flo
         total += step
         x, y, yaw = here.x_m + float(step[0]), here.y_m + float(step[1]), here.yaw_rad + float(step[2])
         here = replace(here, x_m=x, y_m=y, yaw_rad=yaw)
+        if abs(step).max() < SETTLED:
+            break
     return here
 
 

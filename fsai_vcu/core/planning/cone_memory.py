@@ -101,12 +101,13 @@ class ConeMemory:
                 cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
                 cones["votes"][known, color[same]] += 1.0
                 cones["seen_at_m"][known] = motion.distance_m
-            added = np.zeros(int(new.sum()), _CONE)
-            added["xy"], added["hits"], added["seen_at_m"] = at[new], 1.0, motion.distance_m
-            added["votes"][np.arange(len(added)), color[new]] = 1.0
-            cones = np.concatenate((cones, added))
-            seen = np.concatenate((seen, np.ones(len(added), dtype=bool)))
-            before = np.concatenate((before, np.zeros(len(added), dtype=bool)))
+            if new.any():
+                added = np.zeros(int(new.sum()), _CONE)
+                added["xy"], added["hits"], added["seen_at_m"] = at[new], 1.0, motion.distance_m
+                added["votes"][np.arange(len(added)), color[new]] = 1.0
+                cones = np.concatenate((cones, added))
+                seen = np.concatenate((seen, np.ones(len(added), dtype=bool)))
+                before = np.concatenate((before, np.zeros(len(added), dtype=bool)))
         if len(cones):
             here = to_vehicle(motion, cones["xy"])
             reach = np.hypot(here[:, 0], here[:, 1])

@@ -42,19 +42,25 @@ BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
 MARGIN = 1.0  # by so much (about the reward of a cone) another way has to be worse for two thirds of confidence
 ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
-ARCS_AHEAD = 4
+ARCS_AHEAD = 4  # of the car, those believed from the last look included
+
+ARC_SEES_M = 6.0  # cones further to a pose's front or side are beside none of its arcs
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
+BELIEVED_M = 10.0  # how far ahead at most an earlier middle is believed …
+BELIEVED_ASIDE_M, BELIEVED_COS = 1.0, 0.9  # … if the car is on it
 
 
 @dataclass(frozen=True, slots=True)
 class Lane:
     """The lane ahead. path_m: (M, 2) vehicle frame, from beside the car forward, empty when no lane was found;
-    side: (N,) for each cone given, +1 surely on its left … -1 surely on its right, 0 neither;
+    middle_m: the lane's middle from behind the car on; side: (N,) for each cone given, +1 surely on its left … -1
+    surely on its right, 0 neither;
     half_width_m: estimate; supported_m: how far from the car on the borders bear the path out; confidence: 0…1;
     note: why there is no path, or why it is doubted."""
 
     path_m: Floats
+    middle_m: Floats
     side: Floats
     half_width_m: float
     supported_m: float
@@ -63,29 +69,34 @@ class Lane:
 
 
 def find_lane(
-    cones: Cones, curvature_1pm: float, half_width_m: float, nose_m: float, settings: PlannerSettings
+    cones: Cones, before: Floats, curvature_1pm: float, half_width_m: float, nose_m: float, settings: PlannerSettings
 ) -> Lane:
     """The lane through `cones` from a car at the origin that looks along x and drives with `curvature_1pm` now.
 
-    `nose_m`: from the car's rear axle, which follows the path, to its nose.
+    `before`: (M, 2) the middle as it was found in the last look, if that was sure: what the cones still agree with is
+    not searched again. `nose_m`: from the car's rear axle, which follows the path, to its nose.
     """
     count = len(cones.xy_m)
     why = f"no lane among {count} cone{'s' * (count != 1)}" if count else "no cones"
-    none = Lane(NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, why)
+    none = Lane(NO_PATH, NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, why)
     ahead = cones.xy_m[:, 0] > -BEHIND_M
     if ahead.sum() < 2:
         return none
-    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], settings)
-    line = _with_backward(line, curvature_1pm, settings)
+    begun, begin = _believed(before, cones, settings)
+    if begin is None:
+        begun, begin = _behind(curvature_1pm, settings), _Begin(np.zeros(count, dtype=bool))
+    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], settings)
+    line = resampled(np.concatenate((begun, line)), settings.path_step_m)
     half_width = half_width_m
-    for _ in range(2):
+    for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
         if end_m <= 0.0:
             return none
+    middle = line
     line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
-    start = int(np.argmin(np.hypot(line[:, 0], line[:, 1])))
-    way = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
+    start = _beside_car(line)
+    way = line[(np.arange(len(line)) >= start) & (stations <= end_m + stations[start])]
     if len(way) < 3:
         return none
     path = resampled(way, settings.path_step_m)
@@ -93,7 +104,56 @@ def find_lane(
     supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
     beside = (along > 0.0) & (along <= end_m)
     confidence, note = _doubts(sides[beside], cones.side[beside], margin)
-    return Lane(path, vote * confidence, half_width, supported_m, confidence, note)
+    return Lane(path, middle, vote * confidence, half_width, supported_m, confidence, note)
+
+
+def _beside_car(line: Floats) -> int:
+    """The point of the line that is nearest to the car."""
+    return int((line * line).sum(axis=1).argmin())
+
+
+def _believed(before: Floats, cones: Cones, settings: PlannerSettings) -> tuple[Floats, _Begin | None]:
+    """The part of an earlier middle, from behind the car on, that the cones agree with, and the search from its end.
+
+    They do up to the first one that stands in the way, or on the other side than it should, and as far as both borders
+    go on without a gap.
+    """
+    if len(before) < 3:
+        return NO_PATH, None
+    car = _beside_car(before)
+    step_m = settings.path_step_m
+    line = before[max(0, car - round(BACKWARD_M / step_m)) :]
+    car = _beside_car(line)
+    cos, sin = headings_along(line)
+    if math.hypot(*line[car]) > BELIEVED_ASIDE_M or cos[car] < BELIEVED_COS:
+        return NO_PATH, None
+    along, lateral, off = _placed(line, cones.xy_m, cos, sin)
+    along -= step_m * car
+    size = np.abs(lateral)
+    beside = (off < 1.0) & (size < OUTSIDE_M) & (along > -1.0)
+    against = beside & ((size < BORDER_NEAR_M) | (size > BORDER_FAR_M) | (lateral * cones.side < -0.3))
+    end_m = min(
+        [BELIEVED_M, step_m * (len(line) - 1 - car), *(along[against] - 2.0).tolist()]
+        + [_reach(along[beside & (lateral * side > 0.0)], settings) for side in (1.0, -1.0)]
+    )
+    if end_m < settings.step_m:
+        return NO_PATH, None
+    end = car + int(end_m / step_m)
+    yaw = math.atan2(sin[end], cos[end])
+    turn = math.remainder(yaw - math.atan2(sin[end - 2], cos[end - 2]), 2.0 * math.pi)
+    x, y = line[end].tolist()
+    end_m = step_m * (end - car)
+    return line[:end], _Begin(beside & (along < end_m), x, y, yaw, turn / (2.0 * step_m), end_m)
+
+
+def _reach(along: Floats, settings: PlannerSettings) -> float:
+    """How far ahead of the car a border's cones, at these places along it, go on without too long a gap."""
+    reached = 0.0
+    for station in sorted(along[along > 0.0].tolist()):
+        if station - reached > settings.border_gap_max_m:
+            break
+        reached = station
+    return reached
 
 
 def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
@@ -113,20 +173,32 @@ def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
 
 
 @dataclass(frozen=True, slots=True)
+class _Begin:
+    """Where the search begins."""
+
+    counted: Bools  # (N,) the cones beside the way up to there
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+    curvature_1pm: float = 0.0
+    along_m: float = 0.0  # of way from the car
+
+
+@dataclass(frozen=True, slots=True)
 class _Fan:
     """The arcs that may follow each pose, and what does not depend on the pose."""
 
     bends: Floats  # (B,) 1/m
     bending_cost: Floats  # (B, B) of an arc by its bend (columns) after an arc of another (rows)
-    curvature_cost: Floats  # (B,)
-    turns: Floats  # (2, 1, B) from the pose's heading to the chord's and to the arc's end
+    ends: Floats  # (7, 7 B) makes of a pose those at its arcs' ends, one after the other
+    into_ends: Floats  # (3, 2 B) makes of x, y, 1 in a pose's frame the x's, then the y's as seen from its arcs' ends
     sag: Floats  # (B,) how far the arc bulges beyond its chord, times four
     quarters_m: Floats  # (4,) way along an arc to each of its points
 
 
-STRAIGHT_ON = 5  # the bend with which a chain begins
-X, Y, HEADING, COS, SIN, COST = range(6)  # rows of an array of poses
-CELLS = np.array([[0.7], [0.7], [0.3]])  # m, m, rad: poses as near as that are about the same
+X, Y, HEADING, COS, SIN, COST, ONE = range(7)  # of a pose
+CELLS = 1.0 / np.array([0.7, 0.7, 0.3])  # m, m, rad: poses as near as that are about the same
+BEST = 4  # times the beam's poses: arcs looked at for it, beginning with the best
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
 LEFT_AND_RIGHT = np.array([1.0, -1.0])[:, None, None]
 RAMP_FROM_M = np.array([INSIDE_M, BORDER_FAR_M])[:, None]
@@ -138,126 +210,133 @@ def _fan(settings: PlannerSettings) -> _Fan:
     step, tightest = settings.step_m, settings.curvature_max_1pm
     bends = np.array([-1.0, -0.75, -0.47, -0.26, -0.11, 0.0, 0.11, 0.26, 0.47, 0.75, 1.0]) * tightest
     jerk = np.abs(bends[None, :] - bends[:, None]) / tightest
+    cos, sin = np.cos(step * bends), np.sin(step * bends)
+    x, y = step * np.cos(0.5 * step * bends), step * np.sin(0.5 * step * bends)
+    ends = np.zeros((7, len(bends), 7))
+    for same in (X, Y, HEADING, COST, ONE):
+        ends[same, :, same] = 1.0
+    ends[COS, :, X], ends[SIN, :, X], ends[COS, :, Y], ends[SIN, :, Y] = x, -y, y, x
+    ends[COS, :, COS], ends[SIN, :, COS], ends[COS, :, SIN], ends[SIN, :, SIN] = cos, -sin, sin, cos
+    ends[ONE, :, HEADING], ends[ONE, :, COST] = step * bends, COST_CURVATURE * (bends / tightest) ** 2
     return _Fan(
         bends,
         COST_BENDING * jerk * jerk * 0.5,
-        COST_CURVATURE * (bends / tightest) ** 2,
-        np.array([0.5 * step * bends, step * bends])[:, None, :],
+        ends.reshape(7, -1),
+        np.block([[cos, -sin], [sin, cos], [-x * cos - y * sin, x * sin - y * cos]]),
         0.5 * step * step * bends,
         np.arange(0.0, step - 1e-9, step / 4.0),
     )
 
 
-def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats, float]:
-    """The best chain of arcs from the origin along x, as (M, 2) points every quarter of a step; and by how much the
-    best chain that leads elsewhere costs more.
+def _search(xy: Floats, side: Floats, begin: _Begin, counted: Bools, settings: PlannerSettings) -> tuple[Floats, float]:
+    """The best chain of arcs from where it begins, as (M, 2) points every quarter of a step; and by how much the best
+    chain that leads elsewhere costs more.
 
     The arrays are small (a dozen cones, 28 poses, 11 arcs each), so the number of numpy's calls and of its inner loops
-    counts, not the sum of the elements: x and y are treated in one call, cones are rows and arcs columns, what is
-    constant is kept, and costs are computed only for the one pair of arc and cone in fifteen that stand beside each
-    other.
+    counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
+    only for the one pair of arc and cone in fifteen that stand beside each other.
     """
     fan = _fan(settings)
     step = settings.step_m
     reach_m = float(np.hypot(xy[:, 0], xy[:, 1]).max())
-    levels = max(2, math.ceil(min(settings.horizon_m, reach_m + step) / step))
+    levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
-    cones = np.ascontiguousarray(xy.T)[:, :, None]
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
     # lanes say) is there.
     may_stand = np.stack((side > -0.3, side < 0.3))
     reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY).ravel()
-    wrong = np.maximum(0.0, np.concatenate((-side, side)))
+    wrong = COST_WRONG_SIDE * np.maximum(0.0, np.concatenate((-side, side)))
 
-    poses = np.array([[0.0], [0.0], [0.0], [1.0], [0.0], [0.0]])
-    bend = np.full(1, STRAIGHT_ON)  # places in fan.bends
-    counted = np.zeros((n_cones, 1), dtype=bool)  # by each chain so far
+    poses = np.array(
+        [[begin.x_m, begin.y_m, begin.yaw_rad, math.cos(begin.yaw_rad), math.sin(begin.yaw_rad), 0.0, 1.0]]
+    )
+    bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])  # places in fan.bends
+    ahead, left = _seen_from(poses, xy)
+    counted = counted[None, :]  # by each chain so far
     history: list[tuple[Floats, Ints, Ints]] = []  # poses; of those that go on from them: the pose, the bend of the arc
 
     for _ in range(levels):
         # The arcs of the first pose, then those of the second, …
-        n_poses = poses.shape[1]
-        n_arcs = n_poses * n_bends
-        headings = (poses[HEADING, :, None] + fan.turns).reshape(2, n_arcs)
-        cos, sin = np.cos(headings), np.sin(headings)
-        ends = np.empty((6, n_arcs))
-        ends[X] = poses[X].repeat(n_bends) + step * cos[0]
-        ends[Y] = poses[Y].repeat(n_bends) + step * sin[0]
-        ends[HEADING], ends[COS], ends[SIN] = headings[1], cos[1], sin[1]
+        n_arcs = len(poses) * n_bends
+        ends = (poses @ fan.ends).reshape(n_arcs, 7)
 
-        # Cones in the frames of each arc's start and end; those between the two frames belong to the arc.
-        start_ahead, start_left = _seen_from(poses, cones)
-        end_ahead, end_left = _seen_from(ends, cones)
-        pair = ((start_ahead >= 0.0).repeat(n_bends, axis=1) & (end_ahead < 0.0)).ravel().nonzero()[0]
-        cone, arc = np.divmod(pair, n_arcs)
-        pose = arc // n_bends
-        at_start = cone * n_poses + pose
-        u0, v0 = start_ahead.take(at_start), start_left.take(at_start)
-        share = u0 / (u0 - end_ahead.take(pair))
-        bulge = fan.sag.take(arc - pose * n_bends) * share * (1.0 - share)
-        lateral = v0 + share * (end_left.take(pair) - v0) - bulge
+        # Cones near each pose, in its frame; of the arcs those that have the cone between their start and end.
+        near = ((ahead >= 0.0) & (ahead < ARC_SEES_M) & (np.abs(left) < ARC_SEES_M)).ravel().nonzero()[0]
+        local = np.empty((len(near), 3))
+        local[:, 0], local[:, 1], local[:, 2] = ahead.take(near), left.take(near), 1.0
+        at_ends = local @ fan.into_ends
+        row, its_bend = (at_ends[:, :n_bends] < 0.0).nonzero()
+        u0, v0, u1, v1 = local[row, 0], local[row, 1], at_ends[row, its_bend], at_ends[row, its_bend + n_bends]
+        place = near.take(row)
+        pose, cone = np.divmod(place, n_cones)
+        arc = pose * n_bends + its_bend
+        share = u0 / (u0 - u1)
+        lateral = v0 + share * (v1 - v0 - fan.sag.take(its_bend) * (1.0 - share))
 
         clear, beyond = np.minimum(np.maximum((np.abs(lateral) - RAMP_FROM_M) / RAMP_SPAN_M, 0.0), 1.0)
         ours = 1.0 - beyond
         as_border = clear * ours
-        on_side = np.where(lateral > 0.0, cone, cone + n_cones)
+        on_side = cone + n_cones * (lateral <= 0.0)
         charge = (
             COST_IN_THE_WAY * (1.0 - clear)
-            + COST_WRONG_SIDE * (wrong.take(on_side) * ours)
-            - reward.take(on_side) * as_border * ~counted.take(at_start)
+            + wrong.take(on_side) * ours
+            - reward.take(on_side) * as_border * ~counted.take(place)
         )
-        cost = poses[COST].repeat(n_bends) + np.bincount(arc, charge, n_arcs)
-        ends[COST] = (cost.reshape(n_poses, n_bends) + fan.bending_cost.take(bend, axis=0) + fan.curvature_cost).ravel()
-
-        ends[COST, np.hypot(ends[X], ends[Y]) > reach_m] -= REWARD_UNSEEN
+        cost = ends[:, COST] + np.bincount(arc, charge, n_arcs) + fan.bending_cost.take(bend, axis=0).ravel()
+        cost -= REWARD_UNSEEN * (np.hypot(ends[:, X], ends[:, Y]) > reach_m)
+        ends[:, COST] = cost
 
         # Keep the best; of chains that end at about the same pose only the best one.
-        order = ends[COST].argsort(kind="stable")
-        cell = CELL_NUMBER @ np.floor(ends[: HEADING + 1] / CELLS)
-        kept = _first_of_each(cell.take(order).tolist(), order.tolist(), settings.beam)
+        order = cost.argsort()[: BEST * settings.beam]
+        cell = np.floor(ends.take(order, axis=0)[:, : HEADING + 1] * CELLS) @ CELL_NUMBER
+        kept = _first_of_each(cell.tolist(), order.tolist(), settings.beam)
 
         parent, bend = np.divmod(kept, n_bends)
         history.append((poses, parent, bend))
-        borders = np.zeros((n_cones, n_arcs), dtype=bool)
-        borders.put(pair, as_border > 0.3)
-        counted = counted.take(parent, axis=1) | borders.take(kept, axis=1)
-        poses = ends.take(kept, axis=1)
-        shift = _to_middle(end_ahead.take(kept, axis=1), end_left.take(kept, axis=1), fan.bends.take(bend), may_stand)
-        poses[X] -= shift * poses[SIN]
-        poses[Y] += shift * poses[COS]
+        borders = np.zeros(n_arcs * n_cones, dtype=bool)
+        borders.put((arc * n_cones + cone).compress(as_border > 0.3), True)
+        counted = counted.take(parent, axis=0) | borders.reshape(n_arcs, n_cones).take(kept, axis=0)
+        poses = ends.take(kept, axis=0)
+        ahead, left = _seen_from(poses, xy)
+        shift = _to_middle(ahead, left, fan.bends.take(bend), may_stand)
+        poses[:, X] -= shift * poses[:, SIN]
+        poses[:, Y] += shift * poses[:, COS]
+        left -= shift[:, None]
 
-    at = int(poses[COST].argmin())
-    last = poses[: Y + 1, at]
+    at = int(poses[:, COST].argmin())
+    last = poses[at, : Y + 1]
     chain: list[tuple[float, ...]] = []  # of each arc, the last one first: where it starts, and its bend
     for starts, parent, bend in reversed(history):
         start = int(parent[at])
-        chain.append((starts[X, start], starts[Y, start], starts[HEADING, start], fan.bends[bend[at]]))
+        chain.append((starts[start, X], starts[start, Y], starts[start, HEADING], fan.bends[bend[at]]))
         at = start
     x, y, heading, curvature = np.array(chain[::-1]).T[:, :, None]
     along = fan.quarters_m
     turn = heading + 0.5 * along * curvature
     points = np.stack((x + along * np.cos(turn), y + along * np.sin(turn)), axis=-1)
-    return np.concatenate((points.reshape(-1, 2), last[None, :])), _margin(history, poses)
+    arcs = max(1, ARCS_AHEAD - round(begin.along_m / step))
+    return np.concatenate((points.reshape(-1, 2), last[None, :])), _margin(history, poses, arcs)
 
 
-def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats) -> float:
-    """How much more than the best chain the best one costs that is elsewhere after `ARCS_AHEAD` arcs."""
-    passed = np.arange(poses.shape[1])
-    for _, parent, _ in reversed(history[ARCS_AHEAD:]):
+def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
+    """How much more than the best chain the best one costs that is elsewhere after so many arcs."""
+    passed = np.arange(len(poses))
+    for _, parent, _ in reversed(history[arcs:]):
         passed = parent.take(passed)
-    there = history[ARCS_AHEAD][0] if len(history) > ARCS_AHEAD else poses
-    at = there[: Y + 1].take(passed, axis=1)
-    best = int(poses[COST].argmin())
-    others = np.hypot(*(at - at[:, best, None])) > ELSEWHERE_M
-    return float(poses[COST].min(where=others, initial=np.inf) - poses[COST, best])
+    there = history[arcs][0] if len(history) > arcs else poses
+    at = there[:, : Y + 1].take(passed, axis=0)
+    cost = poses[:, COST]
+    best = int(cost.argmin())
+    others = np.hypot(*(at - at[best]).T) > ELSEWHERE_M
+    return float(cost.min(where=others, initial=np.inf) - cost[best])
 
 
-def _seen_from(poses: Floats, cones: Floats) -> tuple[Floats, Floats]:
-    """(N, P) how far ahead of each pose each cone is, and how far to its left. cones: (2, N, 1)."""
-    away = cones - poses[: Y + 1, None, :]
-    by_cos, by_sin = away * poses[COS], away * poses[SIN]
-    return by_cos[0] + by_sin[1], by_cos[1] - by_sin[0]
+def _seen_from(poses: Floats, xy: Floats) -> tuple[Floats, Floats]:
+    """(P, N) how far ahead of each pose each cone is, and how far to its left."""
+    dx, dy = xy[:, 0] - poses[:, X, None], xy[:, 1] - poses[:, Y, None]
+    cos, sin = poses[:, COS, None], poses[:, SIN, None]
+    return dx * cos + dy * sin, dy * cos - dx * sin
 
 
 def _first_of_each(cells: list[float], places: list[int], most: int) -> Ints:
@@ -277,26 +356,32 @@ def _to_middle(ahead: Floats, left: Floats, bend: Floats, may_stand: Bools) -> F
     """(P,) how far to the left of each pose, which turns with `bend`, the middle between its nearest cones left and
     right is; 0 where there are not both.
 
-    ahead, left: (N, P) the cones as the poses see them; may_stand: (2, N) whether to the left, whether to the right.
+    ahead, left: (P, N) the cones as the poses see them; may_stand: (2, N) whether to the left, whether to the right.
     """
-    beside = (left - 0.5 * bend * ahead * ahead) * LEFT_AND_RIGHT
-    there = may_stand[:, :, None] & (np.abs(ahead) < 3.0) & (beside > 0.4)
-    nearest_m = np.minimum.reduce(beside, axis=1, where=there, initial=OUTSIDE_M).tolist()
-    return np.array(
-        [
-            min(max(0.5 * (to_left - to_right), -0.5), 0.5) if to_left < OUTSIDE_M and to_right < OUTSIDE_M else 0.0
-            for to_left, to_right in zip(*nearest_m, strict=True)
-        ]
-    )
+    beside = (left - 0.5 * bend[:, None] * ahead * ahead) * LEFT_AND_RIGHT
+    there = may_stand[:, None, :] & (np.abs(ahead) < 3.0) & (beside > 0.4)
+    to_left, to_right = np.where(there, beside, OUTSIDE_M).min(axis=2)
+    both = np.maximum(to_left, to_right) < OUTSIDE_M
+    return np.where(both, _within(0.5 * (to_left - to_right), 0.5), 0.0)
 
 
-def _with_backward(line: Floats, curvature_1pm: float, settings: PlannerSettings) -> Floats:
-    """The line carried on behind the car along the arc on which the car has come, resampled."""
+def _behind(curvature_1pm: float, settings: PlannerSettings) -> Floats:
+    """The arc on which the car has come."""
     curvature = min(max(curvature_1pm, -settings.curvature_max_1pm), settings.curvature_max_1pm)
     s = -np.arange(BACKWARD_M, 0.1, -settings.path_step_m)
     turn = 0.5 * s * curvature
-    behind = np.stack((s * np.cos(turn), s * np.sin(turn)), axis=-1)
-    return resampled(np.concatenate((behind, line)), settings.path_step_m)
+    return np.stack((s * np.cos(turn), s * np.sin(turn)), axis=-1)
+
+
+def _placed(line: Floats, xy: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats, Floats]:
+    """(N,) how far along the line each cone is, how far to its left, and how far off the place beside it, m."""
+    stations = lengths_along(line)
+    dx, dy = xy[:, None, 0] - line[None, :, 0], xy[:, None, 1] - line[None, :, 1]
+    nearest = (dx * dx + dy * dy).argmin(axis=1)
+    cell = nearest + len(line) * np.arange(len(nearest))  # of the nearest point in the flattened arrays
+    dx, dy, cos, sin = dx.take(cell), dy.take(cell), cos.take(nearest), sin.take(nearest)
+    ahead = dx * cos + dy * sin
+    return stations.take(nearest) + _within(ahead, float(stations[1])), dy * cos - dx * sin, np.abs(ahead)
 
 
 @cache
@@ -358,16 +443,10 @@ def _centred(
     """
     stations = lengths_along(line)
     cos, sin = headings_along(line)
-    dx, dy = cones.xy_m[:, None, 0] - line[None, :, 0], cones.xy_m[:, None, 1] - line[None, :, 1]
-    nearest = (dx * dx + dy * dy).argmin(axis=1)
-    cell = nearest + len(line) * np.arange(len(nearest))  # of the nearest point in the flattened arrays
-    dx, dy, cos_there, sin_there = dx.take(cell), dy.take(cell), cos.take(nearest), sin.take(nearest)
-    along_here = dx * cos_there + dy * sin_there
-    lateral = dy * cos_there - dx * sin_there
-    along = stations.take(nearest) + _within(along_here, settings.path_step_m)
+    along, lateral, off = _placed(line, cones.xy_m, cos, sin)
     size = np.abs(lateral)
     sides = np.sign(lateral)
-    usable = (np.abs(along_here) < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5)
+    usable = (off < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5)
     stands = np.where(usable, sides, 0.0)
     sides = np.where(cones.side * sides > -0.5, stands, 0.0)
     # Of cones of one side beside each other only the nearer one is the border.
@@ -392,19 +471,13 @@ def _centred(
         np.where(left_known, left - width, np.where(right_known, right + width, np.nan)),
     )
     known = np.isfinite(shift)
-    car_m = BACKWARD_M
+    car_m = float(stations[_beside_car(line)])
     if not known.any():
         return line, stands, along - car_m, width, 0.0
     shift = np.interp(stations, stations[known], shift[known])
     moved = _smoothed(_moved_left(line, _within(shift, 2.5), cos, sin), settings)
 
-    # How far the borders reach without too long a gap.
-    reached = car_m
-    for station in sorted(along[(sides != 0.0) & (along > car_m)].tolist()):
-        if station - reached > settings.border_gap_max_m:
-            break
-        reached = station
-    return moved, stands, along - car_m, width, reached - car_m
+    return moved, stands, along - car_m, width, _reach(along[sides != 0.0] - car_m, settings)
 
 
 def _median(values: list[float]) -> float:

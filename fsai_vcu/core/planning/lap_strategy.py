@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fsai_vcu.core.planning.racing import Racing
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
+SURE = 0.5  # confidence with which the lane found is believed in the next look
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -42,6 +43,7 @@ class LapStrategy:
     def anchor(self, motion: Motion) -> None:
         self._state = staged(motion, self._line_ahead_m)
         self._half_width_m = self._settings.lane_half_width_min_m
+        self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
         self._kept: Floats = NO_PATH  # the last path, in the odometry frame
         self._kept_t_ns = 0
         self._kept_confidence = 0.0
@@ -76,11 +78,13 @@ class LapStrategy:
     def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion) -> Course:
         """The way on in the lane that the cones around the car make."""
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
-        lane = find_lane(cones, curvature, self._half_width_m, self._nose_m, self._settings)
+        before = to_vehicle(motion, self._middle) if self._kept_confidence > SURE else NO_PATH
+        lane = find_lane(cones, before, curvature, self._half_width_m, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
             memory.vote(cones.index, lane.side)
+            self._middle = to_odometry(motion, lane.middle_m)
             self._kept, self._kept_t_ns, self._kept_confidence = to_odometry(motion, path), motion.t_ns, lane.confidence
             return Course(path, supported_m=lane.supported_m, confidence=lane.confidence, note=lane.note)
         path = self._kept_path(motion)
