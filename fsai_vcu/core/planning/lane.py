@@ -133,7 +133,7 @@ def _believed(before: Floats, cones: Cones, settings: PlannerSettings) -> tuple[
     beside = (off < 1.0) & (size < OUTSIDE_M) & (along > -1.0)
     against = beside & ((size < BORDER_NEAR_M) | (size > BORDER_FAR_M) | (lateral * cones.side < -0.3))
     end_m = min(
-        [BELIEVED_M, step_m * (len(line) - 1 - car), *(along[against] - 2.0).tolist()]
+        [BELIEVED_M, step_m * (len(line) - 1 - car), *(along[against] - 2.0 * settings.step_m).tolist()]
         + [_reach(along[beside & (lateral * side > 0.0)], settings) for side in (1.0, -1.0)]
     )
     if end_m < settings.step_m:
