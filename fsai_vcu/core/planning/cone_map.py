@@ -213,7 +213,7 @@ class ConeMap:
         same = gap.min(axis=1) < GATE_M
         cones["last_m"][first[gap.argmin(axis=1)[same]]] = self.here.distance_m
         way = np.array([way for way, _, _ in self._track])
-        passed_m = way[_gaps(cones["xy"], driven_xy_m).argmin(axis=1)]
+        passed_m = way[::4][_gaps(cones["xy"], driven_xy_m[::4]).argmin(axis=1)]
         across = np.abs(passed_m - cones["way_m"]) > RECENT_M
         across[first] = across[second] = False
         self._cones = np.delete(cones, np.concatenate((second[same], np.flatnonzero(across))))

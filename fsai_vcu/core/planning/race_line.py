@@ -27,7 +27,9 @@ NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
 BESIDE_M, BEYOND_M = 4.0, 1.0  # of cones so near to each other, one that stands so much further out is no border
 NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
-ROUNDS, STEPS, STEPS_AT_ONCE = 4, 15, 5
+ROUNDS, STEPS = 4, 15
+SHARE = 4000  # points of the line times steps at once: about a millisecond
+STRETCH = 8  # points of the line
 SMOOTHING_M = 1.5  # of the way driven
 BODY_BEHIND_M = 0.65  # of the rear axle
 
@@ -88,9 +90,10 @@ class LineSearch:
             left, right = _bounds(self._line, cos, sin, self._cones, self._car)
             self._problem = _Problem(self._line, cos, sin, right, left)
             return None
-        for _ in range(STEPS_AT_ONCE):
+        steps = min(max(1, SHARE // len(self._line)), STEPS - self._steps)
+        for _ in range(steps):
             problem.improve()
-        self._steps += STEPS_AT_ONCE
+        self._steps += steps
         if self._steps < STEPS:
             return None
         line, left, right = problem.moved()
@@ -172,14 +175,10 @@ def _bounds(
     line: Floats, cos: Floats, sin: Floats, cones_xy_m: Floats, car: VehicleParameters
 ) -> tuple[Floats, Floats]:
     """(N,) how far to the left (positive) and to the right (negative) of each point the rear axle may be."""
-    dx = cones_xy_m[:, None, 0] - line[:, 0]
-    dy = cones_xy_m[:, None, 1] - line[:, 1]
-    gap = dx * dx + dy * dy
-    # A cone may stand beside several stretches of the line: it is beside each point nearer than its neighbours.
-    nearer = np.roll(gap, 1, axis=1) < gap  # is the point before
-    cone, at = np.nonzero((gap < REACH_M**2) & ~nearer & np.roll(nearer, -1, axis=1))
-    lateral = dy[cone, at] * cos[at] - dx[cone, at] * sin[at]
     stations = np.arange(len(line), dtype=np.float64) * (_length(line) / len(line))
+    cone, at = _beside(line, float(stations[1]), cones_xy_m)
+    dx, dy = (cones_xy_m[cone] - line[at]).T
+    lateral = dy * cos[at] - dx * sin[at]
     half = 0.5 * car.width_m + CONE_RADIUS_M + MARGIN_M
     curvature = _curvature(line, cos, sin)
     bounds = []
@@ -195,6 +194,24 @@ def _bounds(
     middle = 0.5 * (left + right)
     narrow = left - right < 2.0 * NARROW_M
     return np.where(narrow, middle + NARROW_M, left), np.where(narrow, middle - NARROW_M, right)
+
+
+def _beside(line: Floats, step_m: float, cones_xy_m: Floats) -> tuple[Ints, Ints]:
+    """Pairs of a cone within reach and a point of the line that it is beside: one nearer than its neighbours.
+
+    A cone may stand beside several stretches. Only stretches in whose middle it is near are looked at point by point.
+    """
+    middles = line.take(np.arange(STRETCH // 2, len(line) + STRETCH // 2, STRETCH), axis=0, mode="wrap")
+    near_m = REACH_M + step_m * STRETCH
+    cone, stretch = np.nonzero(np.hypot(*(cones_xy_m[:, None] - middles).transpose(2, 0, 1)) < near_m)
+    at = STRETCH * stretch[:, None] + np.arange(-1, STRETCH + 1)
+    away = cones_xy_m[cone, None] - line.take(at, axis=0, mode="wrap")
+    gap = away[..., 0] ** 2 + away[..., 1] ** 2
+    here = gap[:, 1:-1]
+    pair, place = np.nonzero((here < REACH_M**2) & (here <= gap[:, :-2]) & (here < gap[:, 2:]))
+    at = at[pair, place + 1]
+    whole = at < len(line)  # the last stretch may go on into the first
+    return cone[pair[whole]], at[whole]
 
 
 def _border(stations: Floats, at_m: Floats, lateral_m: Floats, length_m: float) -> Floats:
