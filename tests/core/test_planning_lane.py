@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsai_vcu.core.planning.cone_memory import Cones
-from fsai_vcu.core.planning.lane import find_lane
-from fsai_vcu.core.planning.pose import NO_PATH
+from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 SETTINGS = PlannerSettings()
@@ -57,7 +56,7 @@ RADII = [math.inf, 20.0, -20.0, 9.0, -9.0, 5.5, -5.5]
 @pytest.mark.parametrize("colored", [True, False])
 @pytest.mark.parametrize("radius", RADII)
 def test_the_path_is_the_lanes_middle_from_beside_the_car_on(radius: float, colored: bool) -> None:
-    lane = find_lane(lane_cones(radius, colored), NO_PATH, 1.0 / radius, HALF, 0.0, SETTINGS)
+    lane = find_lane(lane_cones(radius, colored), Known(1.0 / radius, HALF), 0.0, SETTINGS)
     path = lane.path_m
     assert len(path) >= 14 and off_middle(path, radius) < 0.3
     assert math.hypot(*path[0]) < 0.4
@@ -70,7 +69,7 @@ def test_the_path_is_the_lanes_middle_from_beside_the_car_on(radius: float, colo
 @pytest.mark.parametrize("radius", [math.inf, 9.0, -9.0])
 def test_a_lone_border_is_followed_at_half_a_lanes_width(radius: float, side: float) -> None:
     cones = lane_cones(radius, colored=True, spacing=3.0)
-    lane = find_lane(only(cones, cones.side == side), NO_PATH, 1.0 / radius, HALF, 0.0, SETTINGS)
+    lane = find_lane(only(cones, cones.side == side), Known(1.0 / radius, HALF), 0.0, SETTINGS)
     assert len(lane.path_m) >= 12
     assert off_middle(lane.path_m, radius, reach=7.0) < 0.45
 
@@ -79,7 +78,7 @@ def test_a_lone_border_is_followed_at_half_a_lanes_width(radius: float, side: fl
 @pytest.mark.parametrize("missing", range(4, 10))
 def test_a_missing_cone_does_not_bend_the_path(missing: int, colored: bool) -> None:
     cones = lane_cones(12.0, colored)
-    lane = find_lane(only(cones, np.arange(len(cones.xy_m)) != missing), NO_PATH, 1 / 12, HALF, 0.0, SETTINGS)
+    lane = find_lane(only(cones, np.arange(len(cones.xy_m)) != missing), Known(1 / 12, HALF), 0.0, SETTINGS)
     assert off_middle(lane.path_m, 12.0) < 0.4
 
 
@@ -88,7 +87,7 @@ def test_a_missing_cone_does_not_bend_the_path(missing: int, colored: bool) -> N
 def test_a_cone_outside_the_lane_does_not_bend_the_path(false: tuple[float, float], colored: bool) -> None:
     cones = lane_cones(math.inf, colored)
     xy = [*map(tuple, cones.xy_m.tolist()), false]
-    lane = find_lane(cones_of(xy, [*cones.side.tolist(), 0.0]), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones_of(xy, [*cones.side.tolist(), 0.0]), Known(0.0, HALF), 0.0, SETTINGS)
     assert off_middle(lane.path_m, math.inf) < 0.3
 
 
@@ -97,7 +96,7 @@ def test_a_colour_on_the_wrong_side_keeps_the_path_out() -> None:
     lane = lane_cones(9.0, colored=True)
     wall = [(14.0, y) for y in (-6.0, -3.0, 0.0)]
     xy = [*map(tuple, lane.xy_m.tolist()), *wall]
-    found = find_lane(cones_of(xy, [*lane.side.tolist(), 1.0, 1.0, 1.0]), NO_PATH, 1 / 9, HALF, 0.0, SETTINGS)
+    found = find_lane(cones_of(xy, [*lane.side.tolist(), 1.0, 1.0, 1.0]), Known(1 / 9, HALF), 0.0, SETTINGS)
     assert off_middle(found.path_m, 9.0) < 0.3
 
 
@@ -114,15 +113,15 @@ def test_where_the_cones_alone_allow_two_ways_colours_decide(way: float) -> None
             x, y = arc_point(s, 11.0, offset)
             xy += [(x, y), (x, -y)]
             side += [way * math.copysign(1.0, offset)] * 2
-    path = find_lane(cones_of(xy, side), NO_PATH, 0.0, HALF, 0.0, SETTINGS).path_m
+    path = find_lane(cones_of(xy, side), Known(0.0, HALF), 0.0, SETTINGS).path_m
     assert way * path[-1, 1] > 2.0
 
 
 @pytest.mark.parametrize("radius", RADII)
 def test_with_the_lane_of_the_last_look_the_same_is_found(radius: float) -> None:
     cones = lane_cones(radius, colored=True)
-    first = find_lane(cones, NO_PATH, 1.0 / radius, HALF, 0.0, SETTINGS)
-    again = find_lane(cones, first.middle_m, 1.0 / radius, HALF, 0.0, SETTINGS)
+    first = find_lane(cones, Known(1.0 / radius, HALF), 0.0, SETTINGS)
+    again = find_lane(cones, Known(1.0 / radius, HALF, middle_m=first.middle_m), 0.0, SETTINGS)
     assert off_middle(again.path_m, radius) < 0.15
     assert len(again.path_m) >= len(first.path_m) - 1 and again.supported_m >= first.supported_m - 1.0
     assert (again.side * first.side >= 0.0).all()
@@ -132,49 +131,57 @@ def test_with_the_lane_of_the_last_look_the_same_is_found(radius: float) -> None
 def test_where_cones_disagree_the_way_found_before_is_left(before_radius: float) -> None:
     """It led through the border of the lane."""
     before = np.array([arc_point(s, before_radius, 0.0) for s in np.arange(-4.0, 14.0, 0.5)])
-    lane = find_lane(lane_cones(-9.0, colored=True), before, -1 / 9, HALF, 0.0, SETTINGS)
+    lane = find_lane(lane_cones(-9.0, colored=True), Known(-1 / 9, HALF, middle_m=before), 0.0, SETTINGS)
     assert off_middle(lane.path_m, -9.0) < 0.3
+
+
+def test_a_gap_in_a_hairpins_border_is_no_lane_in_view() -> None:
+    """Without colours; beyond the two cones 3.5 m from each other nothing stands as far as cones can be seen."""
+    rows = [(x, y) for x in np.arange(-3.5, 4.0, 3.5) for y in (2.0, -2.0, 7.0)]
+    cones = cones_of([*rows, (7.5, 0.8), (7.5, 4.3), (5.0, 6.7)], [0.0] * (len(rows) + 3))
+    path = find_lane(cones, Known(0.0, HALF, view_m=15.0), 0.0, SETTINGS).path_m
+    assert path[:, 0].max() < 6.5 and path[-1, 1] > 4.0
 
 
 def test_a_wide_lane_is_driven_in_its_middle() -> None:
     xy = [(x, y) for x in np.arange(-4.0, 16.0, 4.0) for y in (2.4, -2.4)]
-    lane = find_lane(cones_of(xy, [0.0] * len(xy)), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones_of(xy, [0.0] * len(xy)), Known(0.0, HALF), 0.0, SETTINGS)
     assert np.abs(lane.path_m[:, 1]).max() < 0.1
     assert lane.half_width_m == pytest.approx(2.4, abs=0.05)
 
 
 def test_a_car_beside_the_middle_gets_the_middle_all_the_same() -> None:
     xy = [(x, y - 0.5) for x in np.arange(-4.0, 16.0, 4.0) for y in (HALF, -HALF)]
-    lane = find_lane(cones_of(xy, [0.0] * len(xy)), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones_of(xy, [0.0] * len(xy)), Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.path_m[4:, 1] == pytest.approx(np.full(len(lane.path_m) - 4, -0.5), abs=0.2)
 
 
 def test_the_path_ends_where_the_cones_end() -> None:
     cones = lane_cones(math.inf, colored=True, reach=8.5)
     last = float(cones.xy_m[:, 0].max())
-    assert last - 1.0 <= find_lane(cones, NO_PATH, 0.0, HALF, 0.0, SETTINGS).path_m[-1, 0] <= last + 1.0
+    assert last - 1.0 <= find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS).path_m[-1, 0] <= last + 1.0
 
 
 def test_beyond_a_long_gap_the_lane_is_not_believed() -> None:
     xy = [(x, y) for x in (-2.0, 2.0, 4.0, 16.0, 18.0) for y in (HALF, -HALF)]
-    lane = find_lane(cones_of(xy, [1.0, -1.0] * 5), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones_of(xy, [1.0, -1.0] * 5), Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.path_m[-1, 0] < 5.0
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_without_cones_there_is_no_path(count: int) -> None:
-    lane = find_lane(cones_of([(5.0, 1.5)] * count, [0.0] * count), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones_of([(5.0, 1.5)] * count, [0.0] * count), Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.path_m.shape == (0, 2)
 
 
 def test_cones_behind_the_car_alone_are_no_lane() -> None:
     cones = cones_of([(-3.0, 1.5), (-3.0, -1.5), (-1.0, 1.5)], [1.0, -1.0, 1.0])
-    assert len(find_lane(cones, NO_PATH, 0.0, HALF, 0.0, SETTINGS).path_m) == 0
+    assert len(find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS).path_m) == 0
 
 
 def test_cones_on_one_spot_or_one_line_do_no_harm() -> None:
     for xy in ([(5.0, 0.0)] * 6, [(float(x), 0.0) for x in range(1, 12)], [(0.0, 0.0)] * 3):
-        path = find_lane(cones_of(xy, [0.0] * len(xy)), NO_PATH, 0.0, HALF, 0.0, SETTINGS).path_m
+        path = find_lane(cones_of(xy, [0.0] * len(xy)), Known(0.0, HALF), 0.0, SETTINGS).path_m
         assert np.isfinite(path).all()
 
 
@@ -182,8 +189,8 @@ def test_cones_on_one_spot_or_one_line_do_no_harm() -> None:
 def test_in_a_bend_the_path_of_the_rear_axle_lies_further_inside(radius: float) -> None:
     """So the nose stays in the lane."""
     cones = lane_cones(radius, colored=True, spacing=2.5)
-    middle = find_lane(cones, NO_PATH, 1.0 / radius, HALF, 0.0, SETTINGS).path_m
-    led = find_lane(cones, NO_PATH, 1.0 / radius, HALF, 2.17, SETTINGS).path_m
+    middle = find_lane(cones, Known(1.0 / radius, HALF), 0.0, SETTINGS).path_m
+    led = find_lane(cones, Known(1.0 / radius, HALF), 2.17, SETTINGS).path_m
     reach_middle = np.hypot(middle[4:12, 0], middle[4:12, 1] - radius).mean()
     reach_led = np.hypot(led[4:12, 0], led[4:12, 1] - radius).mean()
     assert reach_middle - reach_led == pytest.approx(2.17**2 / (4 * abs(radius)), abs=0.08)
@@ -191,7 +198,7 @@ def test_in_a_bend_the_path_of_the_rear_axle_lies_further_inside(radius: float) 
 
 def test_cones_near_the_car_are_told_left_from_right() -> None:
     cones = lane_cones(math.inf, colored=False)
-    lane = find_lane(cones, NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)
     near = (cones.xy_m[:, 0] > -1.5) & (cones.xy_m[:, 0] < 8.0)
     assert (np.sign(lane.side[near]) == np.sign(cones.xy_m[near, 1])).all()
 
@@ -199,14 +206,14 @@ def test_cones_near_the_car_are_told_left_from_right() -> None:
 @pytest.mark.parametrize("reach", [6.5, 10.5, 14.5])
 def test_a_lane_is_supported_up_to_its_last_cones(reach: float) -> None:
     cones = lane_cones(math.inf, colored=True, reach=reach)
-    lane = find_lane(cones, NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.supported_m == pytest.approx(float(cones.xy_m[:, 0].max()), abs=SETTINGS.path_step_m)
 
 
 def test_confidence_falls_with_a_border_lost() -> None:
     cones = lane_cones(math.inf, colored=True)
-    both = find_lane(cones, NO_PATH, 0.0, HALF, 0.0, SETTINGS)
-    left = find_lane(only(cones, cones.side > 0), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    both = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)
+    left = find_lane(only(cones, cones.side > 0), Known(0.0, HALF), 0.0, SETTINGS)
     assert both.note == "" and both.confidence > 0.8
     assert left.note == "only the left border is seen" and left.confidence < 0.7 * both.confidence
 
@@ -214,9 +221,9 @@ def test_confidence_falls_with_a_border_lost() -> None:
 def test_colours_of_the_other_side_lower_confidence() -> None:
     cones = lane_cones(math.inf, colored=True)
     swapped = np.array([index in (4, 7) for index in range(len(cones.xy_m))])
-    lane = find_lane(replace(cones, side=np.where(swapped, -cones.side, cones.side)), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(replace(cones, side=np.where(swapped, -cones.side, cones.side)), Known(0.0, HALF), 0.0, SETTINGS)
     assert off_middle(lane.path_m, math.inf) < 0.3
-    assert lane.confidence < 0.8 * find_lane(cones, NO_PATH, 0.0, HALF, 0.0, SETTINGS).confidence
+    assert lane.confidence < 0.8 * find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS).confidence
     assert "2 of" in lane.note and "colour of the other side" in lane.note
 
 
@@ -224,7 +231,7 @@ def test_a_fork_is_doubted() -> None:
     """Two ways as good as each other."""
     stem = [(s, y) for s in (-3.0, 0.0, 3.0) for y in (HALF, -HALF)]
     branches = [arc_point(s, radius, y) for s in (6.0, 9.0, 12.0) for radius in (11.0, -11.0) for y in (HALF, -HALF)]
-    lane = find_lane(cones_of([*stem, *branches], [0.0] * 18), NO_PATH, 0.0, HALF, 0.0, SETTINGS)
+    lane = find_lane(cones_of([*stem, *branches], [0.0] * 18), Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.confidence < 0.3 and "another way" in lane.note
 
 
@@ -232,7 +239,5 @@ def test_a_fork_is_doubted() -> None:
     ("count", "note"), [(0, "no cones"), (1, "no lane among 1 cone"), (3, "no lane among 3 cones")]
 )
 def test_without_a_lane_the_note_says_why(count: int, note: str) -> None:
-    lane = find_lane(
-        cones_of([(-5.0 - i, 1.5) for i in range(count)], [0.0] * count), NO_PATH, 0.0, HALF, 0.0, SETTINGS
-    )
+    lane = find_lane(cones_of([(-5.0 - i, 1.5) for i in range(count)], [0.0] * count), Known(0.0, HALF), 0.0, SETTINGS)
     assert (lane.note, lane.confidence, lane.supported_m, len(lane.path_m)) == (note, 0.0, 0.0, 0)

@@ -31,7 +31,11 @@ INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 # A detector swaps the colours of one cone in twenty, and of the same one in every look: a cone on the other side than
 # its colour says costs less than two of a border are worth.
 REWARD_KNOWN, REWARD_UNKNOWN, REWARD_CONTRARY = 1.0, 0.8, 0.5
-REWARD_UNSEEN = 0.5  # of an arc beyond all cones: else a way back through those seen is better than the way on
+REWARD_UNSEEN = (
+    0.5  # of an arc beyond all cones and out of view: else a way back through those seen is better than the way on
+)
+COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cones of a border is no lane
+BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
@@ -68,26 +72,37 @@ class Lane:
     note: str
 
 
-def find_lane(
-    cones: Cones, before: Floats, curvature_1pm: float, half_width_m: float, nose_m: float, settings: PlannerSettings
-) -> Lane:
-    """The lane through `cones` from a car at the origin that looks along x and drives with `curvature_1pm` now.
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known before a look.
 
-    `before`: (M, 2) the middle as it was found in the last look, if that was sure: what the cones still agree with is
-    not searched again. `nose_m`: from the car's rear axle, which follows the path, to its nose.
+    curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
+    stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
+    still agree with is not searched again."""
+
+    curvature_1pm: float
+    half_width_m: float
+    view_m: float = 0.0
+    middle_m: Floats | None = None
+
+
+def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettings) -> Lane:
+    """The lane through `cones` from a car at the origin that looks along x.
+
+    `nose_m`: from the car's rear axle, which follows the path, to its nose.
     """
+    half_width = known.half_width_m
     count = len(cones.xy_m)
     why = f"no lane among {count} cone{'s' * (count != 1)}" if count else "no cones"
-    none = Lane(NO_PATH, NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, why)
+    none = Lane(NO_PATH, NO_PATH, np.zeros(count), half_width, 0.0, 0.0, why)
     ahead = cones.xy_m[:, 0] > -BEHIND_M
     if ahead.sum() < 2:
         return none
-    begun, begin = _believed(before, cones, settings)
+    begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
-        begun, begin = _behind(curvature_1pm, settings), _Begin(np.zeros(count, dtype=bool))
-    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], settings)
+        begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count, dtype=bool))
+    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], known.view_m, settings)
     line = resampled(np.concatenate((begun, line)), settings.path_step_m)
-    half_width = half_width_m
     for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
         if end_m <= 0.0:
@@ -112,13 +127,13 @@ def _beside_car(line: Floats) -> int:
     return int((line * line).sum(axis=1).argmin())
 
 
-def _believed(before: Floats, cones: Cones, settings: PlannerSettings) -> tuple[Floats, _Begin | None]:
+def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) -> tuple[Floats, _Begin | None]:
     """The part of an earlier middle, from behind the car on, that the cones agree with, and the search from its end.
 
     They do up to the first one that stands in the way, or on the other side than it should, and as far as both borders
     go on without a gap.
     """
-    if len(before) < 3:
+    if before is None or len(before) < 3:
         return NO_PATH, None
     car = _beside_car(before)
     step_m = settings.path_step_m
@@ -228,7 +243,9 @@ def _fan(settings: PlannerSettings) -> _Fan:
     )
 
 
-def _search(xy: Floats, side: Floats, begin: _Begin, counted: Bools, settings: PlannerSettings) -> tuple[Floats, float]:
+def _search(
+    xy: Floats, side: Floats, begin: _Begin, counted: Bools, view_m: float, settings: PlannerSettings
+) -> tuple[Floats, float]:
     """The best chain of arcs from where it begins, as (M, 2) points every quarter of a step; and by how much the best
     chain that leads elsewhere costs more.
 
@@ -284,8 +301,9 @@ def _search(xy: Floats, side: Floats, begin: _Begin, counted: Bools, settings: P
             - reward.take(on_side) * as_border * ~counted.take(place)
         )
         cost = ends[:, COST] + np.bincount(arc, charge, n_arcs) + fan.bending_cost.take(bend, axis=0).ravel()
-        cost -= REWARD_UNSEEN * (np.hypot(ends[:, X], ends[:, Y]) > reach_m)
-        ends[:, COST] = cost
+        unseen = np.hypot(ends[:, X], ends[:, Y]) > max(reach_m, view_m)
+        empty = np.bincount(arc, as_border, n_arcs) < BORDER_MIN
+        ends[:, COST] = cost = cost + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
 
         # Keep the best; of chains that end at about the same pose only the best one.
         order = cost.argsort()[: BEST * settings.beam]
@@ -295,7 +313,7 @@ def _search(xy: Floats, side: Floats, begin: _Begin, counted: Bools, settings: P
         parent, bend = np.divmod(kept, n_bends)
         history.append((poses, parent, bend))
         borders = np.zeros(n_arcs * n_cones, dtype=bool)
-        borders.put((arc * n_cones + cone).compress(as_border > 0.3), True)
+        borders.put((arc * n_cones + cone).compress(as_border > BORDER_MIN), True)
         counted = counted.take(parent, axis=0) | borders.reshape(n_arcs, n_cones).take(kept, axis=0)
         poses = ends.take(kept, axis=0)
         ahead, left = _seen_from(poses, xy)

@@ -13,7 +13,7 @@ from fsai_vcu.core.missions.laps import advance_laps, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
 from fsai_vcu.core.planning.course import Course, braking_m
-from fsai_vcu.core.planning.lane import find_lane
+from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 SURE = 0.5  # confidence with which the lane found is believed in the next look
+VIEW_KEPT = 0.99  # from look to look, of how far cones were seen
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -44,6 +45,7 @@ class LapStrategy:
         self._state = staged(motion, self._line_ahead_m)
         self._half_width_m = self._settings.lane_half_width_min_m
         self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
+        self._view_m = 0.0  # how far cones are seen
         self._kept: Floats = NO_PATH  # the last path, in the odometry frame
         self._kept_t_ns = 0
         self._kept_confidence = 0.0
@@ -65,6 +67,8 @@ class LapStrategy:
         if len(path):
             course = Course(path, supported_m=self._settings.path_step_m * len(path), mapped=True, note=doubt)
         else:
+            seen_m = float(np.hypot(seen_xy_m[:, 0], seen_xy_m[:, 1]).max(initial=0.0))
+            self._view_m = max(seen_m, VIEW_KEPT * self._view_m)
             course = self._lane(memory, cones, motion)
             course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
         self._count(cones, course.path_m, here)
@@ -78,8 +82,9 @@ class LapStrategy:
     def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion) -> Course:
         """The way on in the lane that the cones around the car make."""
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
-        before = to_vehicle(motion, self._middle) if self._kept_confidence > SURE else NO_PATH
-        lane = find_lane(cones, before, curvature, self._half_width_m, self._nose_m, self._settings)
+        middle = to_vehicle(motion, self._middle) if self._kept_confidence > SURE else None
+        known = Known(curvature, self._half_width_m, self._view_m, middle)
+        lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
