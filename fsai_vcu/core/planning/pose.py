@@ -46,6 +46,23 @@ def resampled(path_m: Floats, step_m: float, most_m: float = math.inf) -> Floats
     return points
 
 
+def resampled_ring(line_m: Floats, step_m: float) -> Floats:
+    """The closed line with points about every `step_m`, evenly."""
+    ring = np.concatenate((line_m, line_m[:1]))
+    along = lengths_along(ring)
+    at = np.linspace(0.0, along[-1], max(8, round(along[-1] / step_m)), endpoint=False)
+    return np.column_stack((np.interp(at, along, ring[:, 0]), np.interp(at, along, ring[:, 1])))
+
+
+def ring_curvature(line_m: Floats) -> Floats:
+    """(N,) signed curvature of a closed, evenly sampled line, 1/m (left positive)."""
+    ahead, behind = np.roll(line_m, -1, axis=0), np.roll(line_m, 1, axis=0)
+    first = (ahead - behind) / 2.0
+    second = ahead - 2.0 * line_m + behind
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return np.asarray(cross / np.maximum(1e-9, np.hypot(first[:, 0], first[:, 1])) ** 3)
+
+
 def headings_along(path_m: Floats) -> tuple[Floats, Floats]:
     """(N,) cosine and sine of the path's direction at each point. At least two points."""
     # As numpy's gradient has it, without the five sixths of the time in which that looks at its arguments.

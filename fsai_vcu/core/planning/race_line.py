@@ -16,7 +16,7 @@ from scipy.linalg import solveh_banded  # type: ignore[import-untyped]
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.planning.pose import lengths_along, to_vehicle
+from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled_ring, ring_curvature, to_vehicle
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 Bools = NDArray[np.bool_]
@@ -77,7 +77,7 @@ class LineSearch:
     """Works out the line through the lane that was driven along `lap_xy_m` (closed), between these cones."""
 
     def __init__(self, lap_xy_m: Floats, cones_xy_m: Floats, car: VehicleParameters, step_m: float) -> None:
-        self._line = _smoothed(_resampled(lap_xy_m, step_m), step_m)
+        self._line = _smoothed(resampled_ring(lap_xy_m, step_m), step_m)
         self._cones, self._car, self._step_m = cones_xy_m, car, step_m
         self._rounds = self._steps = 0
         self._problem: _Problem | None = None
@@ -99,14 +99,14 @@ class LineSearch:
         line, left, right = problem.moved()
         self._rounds, self._steps, self._problem = self._rounds + 1, 0, None
         if self._rounds < ROUNDS:
-            self._line = _resampled(line, self._step_m)
+            self._line = resampled_ring(line, self._step_m)
             return None
         return RaceLine(line, *_directions(line), left, right, self._step_m, self._cones)
 
 
 def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:
     """Whether the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
-    cos, sin = _directions(path_m, closed=False)
+    cos, sin = headings_along(path_m)
     dx = cones_xy_m[:, None, 0] - path_m[:, 0]
     dy = cones_xy_m[:, None, 1] - path_m[:, 1]
     ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
@@ -180,7 +180,7 @@ def _bounds(
     dx, dy = (cones_xy_m[cone] - line[at]).T
     lateral = dy * cos[at] - dx * sin[at]
     half = 0.5 * car.width_m + CONE_RADIUS_M + MARGIN_M
-    curvature = _curvature(line, cos, sin)
+    curvature = ring_curvature(line)
     bounds = []
     for side in (1.0, -1.0):
         mine = side * lateral > 0.0
@@ -224,30 +224,15 @@ def _border(stations: Floats, at_m: Floats, lateral_m: Floats, length_m: float) 
     return np.asarray(np.interp(stations, at_m[own], lateral_m[own], period=length_m))
 
 
-def _directions(line: Floats, closed: bool = True) -> tuple[Floats, Floats]:
-    """(N,) cosine and sine of a line's direction at each of its points."""
-    along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
-    if not closed:
-        along[0], along[-1] = line[1] - line[0], line[-1] - line[-2]
+def _directions(ring: Floats) -> tuple[Floats, Floats]:
+    """(N,) cosine and sine of a closed line's direction at each of its points."""
+    along = np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0)
     along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     return along[:, 0], along[:, 1]
 
 
-def _curvature(line: Floats, cos: Floats, sin: Floats) -> Floats:
-    turn = np.angle((np.roll(cos, -1) + 1j * np.roll(sin, -1)) * (np.roll(cos, 1) - 1j * np.roll(sin, 1)))
-    return np.asarray(turn / (2.0 * _length(line) / len(line)))
-
-
 def _length(line: Floats) -> float:
     return float(lengths_along(np.concatenate((line, line[:1])))[-1])
-
-
-def _resampled(line: Floats, step_m: float) -> Floats:
-    """The closed line with points about every `step_m`, evenly."""
-    ring = np.concatenate((line, line[:1]))
-    along = lengths_along(ring)
-    at = np.linspace(0.0, along[-1], max(20, round(along[-1] / step_m)), endpoint=False)
-    return np.column_stack((np.interp(at, along, ring[:, 0]), np.interp(at, along, ring[:, 1])))
 
 
 def _smoothed(line: Floats, step_m: float) -> Floats:

@@ -12,9 +12,10 @@ from typing import Final
 import numpy as np
 
 from fsai_hil.simulator.tracks import NAMES, STYLES, Track, TrackKind, as_csv, load_track
-from fsai_hil.simulator.tracks.layout import NOSE_M, resampled
+from fsai_hil.simulator.tracks.layout import NOSE_M
 from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
 
 STEP_M: Final = 0.25
@@ -78,12 +79,14 @@ def _facts(track: Track) -> Iterator[str]:
         yield f"start line: {line.x_m:.2f}, {line.y_m:.2f} m, crossed towards {math.degrees(line.yaw_rad):.0f} deg"
     if not track.closed or track.centreline_m is None:
         return
-    middle = resampled(track.centreline_m, STEP_M)
+    middle = resampled_ring(track.centreline_m, STEP_M)
     ahead, behind = (np.roll(middle, shift, axis=0) - middle for shift in (-OVER, OVER))
     turn = np.arctan2(ahead[:, 1], ahead[:, 0]) - np.arctan2(-behind[:, 1], -behind[:, 0])
     bend = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi)
     yield f"tightest radius of the middle of the lane: {OVER * STEP_M / bend.max():.1f} m"
-    sides = [resampled(border, STEP_M) for border in (track.left_border_m, track.right_border_m) if border is not None]
+    sides = [
+        resampled_ring(border, STEP_M) for border in (track.left_border_m, track.right_border_m) if border is not None
+    ]
     width = sum(np.hypot(*(middle[:, None] - side[None]).T).min(axis=0) for side in sides)
     yield f"lane: {np.min(width):.1f} to {np.max(width):.1f} m wide"
 

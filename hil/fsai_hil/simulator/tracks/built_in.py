@@ -24,15 +24,14 @@ from fsai_hil.simulator.tracks.layout import (
     as_array,
     closest_m,
     cones_of,
-    curvature_of,
     offset_line,
-    resampled,
     with_circuit,
     with_line,
     with_straight,
 )
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.planning.pose import resampled_ring, ring_curvature
 from fsai_vcu.interface.enums import Ami
 
 
@@ -125,7 +124,7 @@ def _stretched(ring: Floats, straight_m: float) -> Floats:
 def circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float, apart_m: float = 4.5) -> Track:
     """A closed circuit round a centreline that begins at the start of its straight."""
     step = 0.25
-    middle = resampled(centreline, step)
+    middle = resampled_ring(centreline, step)
     middle = np.roll(middle, -round(line_at_m / step), axis=0)
     toward = middle[1] - middle[-1]
     heading = math.atan2(toward[1], toward[0])
@@ -133,7 +132,7 @@ def circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float,
     c, s = math.cos(-heading), math.sin(-heading)
     middle = (middle - middle[0]) @ np.array([[c, s], [-s, c]])
     left, right = offset_line(middle, lane_m / 2.0), offset_line(middle, -lane_m / 2.0)
-    curvature = np.abs(curvature_of(middle))
+    curvature = np.abs(ring_curvature(middle))
     smooth = np.convolve(np.concatenate([curvature[-12:], curvature, curvature[:12]]), np.ones(25) / 25.0, "valid")
     rows: list[list[Point]] = []
     for border, phase in ((left, 0.0), (right, 0.4)):
@@ -175,11 +174,11 @@ def random_circuit(seed: int, name: str = "", length_m: float = 250.0, straight_
             radius += amplitude * np.cos(harmonic * angles + phase)
         shape = radius[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
         perimeter = float(np.hypot(*np.diff(np.vstack([shape, shape[:1]]), axis=0).T).sum())
-        shape = resampled(shape * (length_m - 2.0 * straight_m) / perimeter, 0.25)
+        shape = resampled_ring(shape * (length_m - 2.0 * straight_m) / perimeter, 0.25)
         # the straight goes where the circle bends least to the left, so that no kink is left behind
-        bend = curvature_of(shape)
+        bend = ring_curvature(shape)
         flattest = int(np.argmin(np.abs(bend - 0.01)))
-        whole = resampled(_stretched(np.roll(shape, -flattest, axis=0), straight_m), 0.25)
+        whole = resampled_ring(_stretched(np.roll(shape, -flattest, axis=0), straight_m), 0.25)
         if draw.random() < 0.5:
             whole[:, 1] *= -1.0  # the other way round
         if _drivable(whole):
@@ -189,7 +188,7 @@ def random_circuit(seed: int, name: str = "", length_m: float = 250.0, straight_
 def _drivable(middle: Floats) -> bool:
     """No corner too tight, and no two parts of the lane so close that their cones mix."""
     tightest = CIRCUIT_MIN_RADIUS_M + CIRCUIT_LANE_M / 2.0
-    if float(np.abs(curvature_of(middle)).max()) > 1.0 / tightest:
+    if float(np.abs(ring_curvature(middle)).max()) > 1.0 / tightest:
         return False
     return closest_m(middle, 20.0) > CIRCUIT_LANE_M + 4.5
 

@@ -158,29 +158,12 @@ def with_circuit(track: Track, line: Pose, middle: Floats, left: Floats, right: 
     return with_line(circuit, line)
 
 
-def resampled(line: Floats, step_m: float) -> Floats:
-    """A closed line at even steps."""
-    ring = np.vstack([line, line[:1]])
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ring, axis=0).T))])
-    at = np.linspace(0.0, s[-1], max(8, round(s[-1] / step_m)), endpoint=False)
-    return np.column_stack([np.interp(at, s, ring[:, 0]), np.interp(at, s, ring[:, 1])])
-
-
 def smoothed(line: Floats, window_m: float, step_m: float = 0.25) -> Floats:
     """A closed, evenly sampled line without the zigzag that midpoints between cones make."""
     half = round(window_m / step_m / 2.0)
     padded = np.vstack([line[-half:], line, line[:half]])
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     return np.column_stack([np.convolve(padded[:, i], kernel, "valid") for i in (0, 1)])
-
-
-def curvature_of(line: Floats) -> Floats:
-    """Signed curvature of a closed, evenly sampled line (left positive)."""
-    ahead, behind = np.roll(line, -1, axis=0), np.roll(line, 1, axis=0)
-    first = (ahead - behind) / 2.0
-    second = ahead - 2.0 * line + behind
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    return np.asarray(cross / np.maximum(1e-9, np.hypot(*first.T)) ** 3, dtype=np.float64)
 
 
 def offset_line(centreline: Floats, offset_m: float) -> Floats:

@@ -22,7 +22,6 @@ from fsai_hil.simulator.tracks.layout import (
     TrackError,
     TrackKind,
     as_array,
-    resampled,
     smoothed,
     with_circuit,
     with_line,
@@ -31,6 +30,7 @@ from fsai_hil.simulator.tracks.layout import (
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
 from fsai_vcu.core.missions.laps import staged
+from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
 
 GATE_M: Final = 8.0  # the cones of one gate stand no further apart along the lane
@@ -49,7 +49,7 @@ def measured(track: Track, start: Pose, line: Pose | None = None) -> Track:
         return _with_skidpad(track, squared)
     if (walked := _walk(track, start)) is not None:
         left, right, middle = walked
-        middle = smoothed(resampled(middle, 0.25), 2.0)
+        middle = smoothed(resampled_ring(middle, 0.25), 2.0)
         if gates:
             line = _across(gates[0], _at(middle, _on(middle, line)))
         middle = np.roll(middle, -_on(middle, line), axis=0)
