@@ -117,6 +117,16 @@ def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     assert not plans[-1].mapped and "map" in plans[-1].note
 
 
+def test_confidence_falls_as_looks_do_not_confirm_the_map() -> None:
+    ride = Ride(OVAL)
+    ride.until_mapped()
+    sure = ride.step().confidence
+    ride.sensor = ConeSensor(replace(OVAL, cones_xy_m=OVAL.cones_xy_m + 1000.0), seed=1)
+    first, second = ride.step(), ride.step()
+    assert first.mapped and second.mapped
+    assert 1.0 >= sure > 0.9 > first.confidence > second.confidence
+
+
 def test_a_lap_after_joining_the_path_stays_where_it_was() -> None:
     ride = Ride(OVAL, laps=4)
     ride.until_mapped()

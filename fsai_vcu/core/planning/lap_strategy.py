@@ -64,8 +64,9 @@ class LapStrategy:
         if racing is not None:
             here = racing.see(seen_xy_m, motion)
             path, doubt = racing.path(cones.xy_m, here), racing.note
-        if len(path):
-            course = Course(path, supported_m=self._settings.path_step_m * len(path), mapped=True, note=doubt)
+        if racing is not None and len(path):
+            reach_m = self._settings.path_step_m * len(path)
+            course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)
         else:
             seen_m = float(np.hypot(seen_xy_m[:, 0], seen_xy_m[:, 1]).max(initial=0.0))
             self._view_m = max(seen_m, VIEW_KEPT * self._view_m)

@@ -49,6 +49,11 @@ class Racing:
         """The car's place in a closed map is known."""
         return self._map.closed and self._map.fit > FIT_MIN
 
+    @property
+    def confidence(self) -> float:
+        """How far the cones seen lately confirm the map, 0…1."""
+        return self._map.fit
+
     def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:
         """Take in the cones seen (vehicle frame). Returns the car's motion in the map frame."""
         here = self._map.add(seen_xy_m, motion)
