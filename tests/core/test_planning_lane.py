@@ -168,6 +168,13 @@ def test_beyond_a_long_gap_the_lane_is_not_believed() -> None:
     assert lane.path_m[-1, 0] < 5.0
 
 
+@pytest.mark.parametrize(("first", "found"), [(10.0, True), (13.0, False)])
+def test_a_lane_may_begin_some_way_ahead_of_the_car(first: float, found: bool) -> None:
+    xy = [(first + x, y) for x in (0.0, 4.0) for y in (HALF, -HALF)]
+    path = find_lane(cones_of(xy, [1.0, -1.0] * 2), Known(0.0, HALF), 0.0, SETTINGS).path_m
+    assert (len(path) > 0) == found
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_without_cones_there_is_no_path(count: int) -> None:
     lane = find_lane(cones_of([(5.0, 1.5)] * count, [0.0] * count), Known(0.0, HALF), 0.0, SETTINGS)

@@ -51,6 +51,7 @@ ARCS_AHEAD = 4  # of the car, those believed from the last look included
 ARC_SEES_M = 6.0  # cones further to a pose's front or side are beside none of its arcs
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
+FIRST_GAP_M = 12.0  # to the first cones: a car may be staged before its lane begins
 BELIEVED_M = 10.0  # how far ahead at most an earlier middle is believed …
 BELIEVED_ASIDE_M, BELIEVED_COS = 1.0, 0.9  # … if the car is on it
 
@@ -163,11 +164,11 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
 
 def _reach(along: Floats, settings: PlannerSettings) -> float:
     """How far ahead of the car a border's cones, at these places along it, go on without too long a gap."""
-    reached = 0.0
+    reached, gap_m = 0.0, max(FIRST_GAP_M, settings.border_gap_max_m)
     for station in sorted(along[along > 0.0].tolist()):
-        if station - reached > settings.border_gap_max_m:
+        if station - reached > gap_m:
             break
-        reached = station
+        reached, gap_m = station, settings.border_gap_max_m
     return reached
 
 
