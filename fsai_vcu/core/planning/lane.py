@@ -1,6 +1,7 @@
 """From cones around the car to the middle of the lane, with colours or without.
 
-First a beam search tries chains of short arcs from the car forward. A chain is good when cones stand to its left and
+First a beam search tries chains of short arcs forward, from the car, or from as far ahead as the cones bear out the
+middle that the last look found. A chain is good when cones stand to its left and
 right at the distance of a border, blue ones left and yellow ones right, each counted once; bad when it drives into
 cones, has colours on the wrong side, or jerks. So a missing cone costs nothing, a false one little, and a lone border
 is enough; where cones have no colour, the order in which they stand along the chain decides what is left and right.
@@ -31,9 +32,7 @@ INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 # A detector swaps the colours of one cone in twenty, and of the same one in every look: a cone on the other side than
 # its colour says costs less than two of a border are worth.
 REWARD_KNOWN, REWARD_UNKNOWN, REWARD_CONTRARY = 1.0, 0.8, 0.5
-REWARD_UNSEEN = (
-    0.5  # of an arc beyond all cones and out of view: else a way back through those seen is better than the way on
-)
+REWARD_UNSEEN = 0.5  # of an arc out of view: else a way back through the cones seen is better than the way on
 COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cones of a border is no lane
 BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
@@ -47,8 +46,6 @@ ONE_BORDER = 0.6  # confidence where only one border is seen
 MARGIN = 1.0  # by so much (about the reward of a cone) another way has to be worse for two thirds of confidence
 ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD = 4  # of the car, those believed from the last look included
-
-ARC_SEES_M = 6.0  # cones further to a pose's front or side are beside none of its arcs
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 FIRST_GAP_M = 12.0  # to the first cones: a car may be staged before its lane begins
@@ -259,6 +256,7 @@ def _search(
     reach_m = float(np.hypot(xy[:, 0], xy[:, 1]).max())
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
+    beside_m = step + OUTSIDE_M  # cones further to a pose's front or side are beside none of its arcs
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
     # lanes say) is there.
@@ -280,7 +278,7 @@ def _search(
         ends = (poses @ fan.ends).reshape(n_arcs, 7)
 
         # Cones near each pose, in its frame; of the arcs those that have the cone between their start and end.
-        near = ((ahead >= 0.0) & (ahead < ARC_SEES_M) & (np.abs(left) < ARC_SEES_M)).ravel().nonzero()[0]
+        near = ((ahead >= 0.0) & (ahead < beside_m) & (np.abs(left) < beside_m)).ravel().nonzero()[0]
         local = np.empty((len(near), 3))
         local[:, 0], local[:, 1], local[:, 2] = ahead.take(near), left.take(near), 1.0
         at_ends = local @ fan.into_ends
