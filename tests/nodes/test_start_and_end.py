@@ -116,3 +116,11 @@ def test_the_bridge_says_goodbye_before_it_falls_silent(number: signal.Signals, 
         assert codec.decode(last[can_id]).image is not None
         assert not any(last[can_id].data[:2]), "at rest it leaves with zeros"
     assert complaint(error_output) == []
+
+
+def test_the_planner_has_loaded_everything_before_the_first_run() -> None:
+    code = (
+        "import sys, rclpy; from fsai_nodes.path_planner import PathPlanner; rclpy.init(); PathPlanner();"
+        "before = set(sys.modules); import fsai_vcu.core.planning.racing; sys.exit(set(sys.modules) != before)"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -38,6 +38,9 @@ class PathPlanner(Node):
 
     def __init__(self, **options: object) -> None:
         super().__init__("path_planner", **options)
+        # It loads scipy: now, and not when the first run is announced, while the node would answer nobody.
+        import fsai_vcu.core.planning.racing  # noqa: F401
+
         self._settings = Settings(self, SETTINGS, lambda _name: None)
         self._clocks = Clocks(self)
         self._planner = self._new_planner()
