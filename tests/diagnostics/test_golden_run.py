@@ -103,7 +103,7 @@ def again(frames: Sequence[Frame], config: BridgeConfig | None = None) -> Sent:
     autonomous = False
     for now_ns in range(STEP_NS, frames[-1].t_ns + 1, STEP_NS):
         while car and car[0].t_ns <= now_ns:
-            computer.on_frame(car.popleft())
+            computer.on_frames([car.popleft()])
         autonomous = autonomous or bridge.set_mode("autonomous", now_ns)[0]
         answers += computer.advance(now_ns)
     return sent(answers)

@@ -237,7 +237,7 @@ def test_faults_and_warnings_have_the_specifications_names() -> None:
     picture = seen(every_cycle(0, S, (0x520, status(AsState.AS_OFF, bits=bits)), *AI))
     assert (picture.faults, picture.shutdown_cause) == (("BMS_FAULT",), "BMS_FAULT")
     assert picture.warnings == ("WARN_BATT_SOC_LOW",)
-    assert "the car reports a fault (FAULT_STATUS 1)" in words(picture)
+    assert "the battery management reports a fault (BMS_FAULT)" in words(picture)
 
 
 # ---------------------------------------------------------------- memory
