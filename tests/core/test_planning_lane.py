@@ -203,12 +203,6 @@ def test_in_a_bend_the_path_of_the_rear_axle_lies_further_inside(radius: float) 
     assert reach_middle - reach_led == pytest.approx(2.17**2 / (4 * abs(radius)), abs=0.08)
 
 
-@pytest.mark.parametrize("radius", [3.5, -3.5])
-def test_in_the_tightest_bend_the_path_does_not_cut_the_corner(radius: float) -> None:
-    cones = lane_cones(radius, colored=True, spacing=2.0)
-    assert off_middle(find_lane(cones, Known(1.0 / radius, HALF), 0.0, SETTINGS).path_m, radius, reach=6.0) < 0.08
-
-
 def test_cones_near_the_car_are_told_left_from_right() -> None:
     cones = lane_cones(math.inf, colored=False)
     lane = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)

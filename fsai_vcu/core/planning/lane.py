@@ -426,7 +426,6 @@ def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
     """The line moved inward in bends, so that the car as a whole is in the middle when its rear axle follows the line.
 
     The nose's outer corner swings out by nose² / 2R more than the rear wheels' inner side cuts in: half of that.
-    The average over a bell has moved it inward by half of the bell's width squared / R already.
     """
     cos, sin = headings_along(line)
     heading = np.arctan2(sin, cos)
@@ -435,7 +434,7 @@ def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
     span = max(1, round(1.0 / settings.path_step_m))
     curvature = np.zeros(len(line))
     curvature[span:-span] = (heading[2 * span :] - heading[: -2 * span]) / (2.0 * span * settings.path_step_m)
-    inward = (0.25 * nose_m**2 - 0.5 * settings.smoothing_m**2) * _within(curvature, settings.curvature_max_1pm)
+    inward = 0.25 * nose_m * nose_m * _within(curvature, settings.curvature_max_1pm)
     return _moved_left(line, inward, cos, sin)
 
 
