@@ -7,11 +7,8 @@ import json
 import os
 import sys
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of
-from fsai_vcu.diagnostics.explain import Record
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, part_of
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
-from fsai_vcu.diagnostics.statistics.measure import measure
-from fsai_vcu.diagnostics.verdict import judge_log
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain can0 --seconds 10"
@@ -35,13 +32,12 @@ def run(args: argparse.Namespace) -> int:
     frames = sources.everything(args.seconds)
     if not len(frames):
         return 1
-    record = Record(frames, args.revision, decoding.databases if args.dbc else None)
+    record, _, verdict = judged(args, sources, decoding, frames)
     begin_s, end_s = part.seconds(record.begin_ns)
     length_s = (record.end_ns - record.begin_ns) / 1e9
     if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):
         raise UserError(f"no frame of {sources.name} is in that part")
-    buses = measure(frames, record.decoder, revision=record.revision.name)
-    verdict = judge_log(record, buses).between(begin_s, end_s).unread(sources.status)
+    verdict = verdict.between(begin_s, end_s)
     shown = verdict.explanation
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):

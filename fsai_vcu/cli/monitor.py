@@ -7,14 +7,18 @@ import json
 import os
 import shutil
 import sys
+from collections.abc import Iterator
+from functools import cache
 from itertools import chain, islice
 from pathlib import Path
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, write_out
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, judged, write_out
+from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.diagnostics.verdict import Verdict
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
@@ -26,9 +30,11 @@ Shows AS state, mission, what stands between now and driving, what is asked for
 and what the car gives, faults, handshake, and every message with its rate and
 age; on pages of their own messages with their bytes, signals, and the history of
 events. It never sends. Ctrl-C or q ends it, space holds the picture, ? shows all
-keys. A log is shown as it stood at its end, or at a moment, or played; the keys
-move in it. Where the output is no terminal, and with --plain, a line a second is
-printed. The pages need textual (pip install 'fsai-vcu[monitor]')."""
+keys. A log is shown as it stood at its end, or at a moment, or played, with what
+check finds up to there; the keys move in it. Exit status: of a log as for check,
+of a bus 1 where something could not be read; 2 wrong use. Where the output is no
+terminal, and with --plain, a line a second is printed. The pages need textual
+(pip install 'fsai-vcu[monitor]')."""
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
@@ -65,20 +71,47 @@ def run(args: argparse.Namespace) -> int:
     textual = not (args.plain or args.json) and (terminal or still) and _has_textual()
     drawn = textual and terminal
     every_s = args.every if args.every is not None else _DRAW_EVERY_S if drawn else _PRINT_EVERY_S
-    source: Source
     if sources.live:
         source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
-    else:
-        source = Log(chunks, view, args.at, (args.rate or None) if drawn else args.rate, keep=drawn)
-        if source.empty:
-            return sources.status
+        return _show(source, every_s, patterns, args, drawn=drawn) | sources.status
+    ahead = sources.files or still  # what is played while it is piped in is judged when it is over
+    read: list[Frames] = []
+    log = Log(_noted(chunks, read), view, args.at, (args.rate or None) if drawn else args.rate, keep=ahead)
+    if log.empty:
+        return sources.status
+
+    @cache
+    def verdict() -> Verdict:
+        log.read_all()
+        return judged(args, sources, decoding, joined(read))[2]
+
+    def findings(until_ns: int) -> list[str]:
+        found = verdict().between(None, (until_ns - log.begin_ns) / 1e9)
+        return [f"whole log: {verdict().line()}", *found.lines(remedies=False)]
+
+    if ahead:
+        log.findings = findings
+    return _show(log, every_s, patterns, args, drawn=drawn, still=still and textual) | verdict().status
+
+
+def _noted(chunks: Iterator[Frames], read: list[Frames]) -> Iterator[Frames]:
+    """The same, each of them added to `read`."""
+    for frames in chunks:
+        read.append(frames)
+        yield frames
+
+
+def _show(
+    source: Source, every_s: float, patterns: list[str], args: argparse.Namespace, *, drawn: bool, still: bool = False
+) -> int:
+    """Drawn, or printed once as it stands still, or in lines. The exit status of that."""
     if drawn:
-        return _draw(source, every_s, patterns) | sources.status
-    if textual:
+        return _draw(source, every_s, patterns)
+    if still:
         _print_whole(source.look(), 80, 24, None)
     else:
         _print_lines(source, every_s, patterns, as_json=args.json)
-    return sources.status
+    return 0
 
 
 def _patterns(names: str | None, decoding: Decoding) -> list[str]:

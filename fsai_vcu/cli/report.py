@@ -5,15 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of, record_in
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, part_of
 from fsai_vcu.diagnostics.report.page import page_of
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
 One HTML file with the plots, what explain finds and the figures of stats; it
-opens offline and loads nothing from elsewhere. Exit status: 0 written, 1
-something could not be read, or the page not be written, 2 wrong use."""
+opens offline and loads nothing from elsewhere. Exit status: as for check, by
+the verdict on top of the page, which is saved all the same; 1 also where it
+cannot be."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,19 +29,20 @@ def run(args: argparse.Namespace) -> int:
     check_seconds(args)
     decoding = Decoding("report", args)
     sources = Sources("report", args.sources, part=part_of(args, decoding))
-    record = record_in(args, sources, decoding)
-    if record is None:
+    frames = sources.everything(args.seconds)
+    if not len(frames):
         return 1
+    record, buses, verdict = judged(args, sources, decoding, frames)
     chosen = record.matching((args.signals or "").split(","))
     if args.signals is not None and not chosen:
         raise UserError(f"no signal {args.signals} in {sources.name}; fsai-vcu dbc show lists them")
-    text = page_of(record, Path(sources.name).name, chosen)
+    text = page_of(record, buses, verdict, Path(sources.name).name, chosen)
     try:
         _write(args.output, text)
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
-    print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB)")
-    return sources.status
+    print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB); verdict: {verdict.line()}")
+    return verdict.status
 
 
 def _write(path: Path, text: str) -> None:

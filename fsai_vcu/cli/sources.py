@@ -29,6 +29,8 @@ from fsai_vcu.interface.revisions import revision as revision_named
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.explain.record import Record
+    from fsai_vcu.diagnostics.statistics.measure import BusStatistics
+    from fsai_vcu.diagnostics.verdict import Verdict
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
@@ -77,6 +79,19 @@ def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) ->
 
     frames = sources.everything(getattr(args, "seconds", None))
     return Record(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
+
+
+def judged(
+    args: argparse.Namespace, sources: Sources, decoding: Decoding, frames: Frames
+) -> tuple[Record, list[BusStatistics], Verdict]:
+    """All frames of the sources, at least one, sorted for an explanation, measured and judged as check does."""
+    from fsai_vcu.diagnostics.explain import Record
+    from fsai_vcu.diagnostics.statistics.measure import measure
+    from fsai_vcu.diagnostics.verdict import judge_log
+
+    record = Record(frames, args.revision, decoding.databases if args.dbc else None)
+    buses = measure(frames, record.decoder, revision=record.revision.name)
+    return record, buses, judge_log(record, buses).unread(sources.status)
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:

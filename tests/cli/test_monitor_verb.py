@@ -33,20 +33,24 @@ VERB = [sys.executable, "-m", "fsai_vcu.cli.main", "monitor"]
 
 @pytest.fixture
 def log(tmp_path: Path) -> str:
-    """Three seconds of AS_OFF without a mission, then three of AS_DRIVING."""
+    """Three seconds of AS_OFF without a mission, then three of AS_DRIVING, for 2 s of which no wheel speed comes.
+
+    Most messages are missing: it is not OK.
+    """
     path = tmp_path / "run.log"
     lines = []
     for step in range(600):
         at_s = 1_700_000_000 + step / 100
         lines.append(f"({at_s:.6f}) can0 520#{(OFF if step < 300 else DRIVING).hex().upper()}\n")
-        lines.append(f"({at_s + 0.001:.6f}) can0 525#0001000100010001\n")
+        if not 350 <= step < 550:
+            lines.append(f"({at_s + 0.001:.6f}) can0 525#0001000100010001\n")
         lines.append(f"({at_s + 0.002:.6f}) can0 510#{'0000000000000000' if step < 300 else '0060000000000000'}\n")
     path.write_text("".join(lines))
     return str(path)
 
 
-def shown(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
-    assert main(["monitor", *argv]) == 0
+def shown(capsys: pytest.CaptureFixture[str], *argv: str, status: int = 1) -> list[str]:
+    assert main(["monitor", *argv]) == status
     return capsys.readouterr().out.splitlines()
 
 
@@ -66,11 +70,24 @@ def test_signals_can_be_added_to_lines_and_objects(log: str, capsys: pytest.Capt
     assert entry["signals"] == {"VCU2AI_Status.AS_STATE": "AS_DRIVING"}
 
 
+def test_findings_and_status_of_a_log_are_those_of_check(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", log]) == 1
+    *lines, verdict = capsys.readouterr().out.splitlines()[1:]
+    found = [line for line in lines if not line.startswith("    what to do")]
+    gap = [line for line in found if "VCU2AI_Speeds (0x525) was silent" in line]
+    assert len(gap) == 1 and gap[0].startswith("problem: at 3.491 s (22:13:23 UTC): ")
+    (late,), (early,) = (map(json.loads, shown(capsys, log, "--json", *at)) for at in ((), ("--at", "3.2")))
+    assert late["findings"] == [verdict.replace("verdict", "whole log"), *found]
+    assert set(late["findings"]) - set(early["findings"]) == set(gap)
+    text = " ".join(shown(capsys, log))
+    assert all(one in text for one in late["findings"])
+
+
 def test_without_textual_plain_lines_and_how_to_get_it(
     log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "textual", None)
-    assert main(["monitor", log]) == 0
+    assert main(["monitor", log]) == 1
     found = capsys.readouterr()
     assert found.err == "fsai-vcu monitor: for pages and keys: pip install 'fsai-vcu[monitor]'\n"
     assert found.out.startswith("6.0 s into the log | AS_DRIVING |") and found.out.count("\n") == 1
@@ -131,7 +148,7 @@ def test_a_broken_log_is_shown_as_far_as_readable_and_fails(log: str, capsys: py
     assert main(["monitor", log, "--plain"]) == 1
     said = capsys.readouterr()
     assert "AS_DRIVING" in said.out
-    assert "line 1801: not a line of candump" in said.err and said.err.count("\n") == 1
+    assert "line 1601: not a line of candump" in said.err and said.err.count("\n") == 1
 
 
 # ---------------------------------------------------------------- live
@@ -140,7 +157,7 @@ def test_a_broken_log_is_shown_as_far_as_readable_and_fails(log: str, capsys: py
 def test_a_live_bus_is_shown_and_nothing_is_ever_sent_on_it(capsys: pytest.CaptureFixture[str]) -> None:
     name = f"loopback:monitor-{os.getpid()}"
     with talking(name, Frame(0x520, DRIVING)) as received:
-        lines = shown(capsys, name, "--json", "--seconds", "1.5", "--every", "0.2")
+        lines = shown(capsys, name, "--json", "--seconds", "1.5", "--every", "0.2", status=0)
     entries = [json.loads(line) for line in lines]
     assert entries[-1]["as_state"] == "AS_DRIVING"
     assert entries[-1]["driving"] is True
@@ -249,7 +266,7 @@ def test_a_log_is_moved_in_and_no_color_is_honoured(log: str) -> None:
         terminal.read("AS_DRIVING")
         terminal.type("q")
         terminal.read(f"{LEAVE}[^\x00]*3.0 s into the log[^\x00]*AS_DRIVING")
-        assert terminal.process.wait(WITHIN_S) == 0
+        assert terminal.process.wait(WITHIN_S) == 1
         assert terminal.seen[terminal.seen.index("\x1b[?1049l") :].count("\n") < 24
         assert not re.search(r"\x1b\[([\d;]*;)?[349][0-7](;[\d;]*)?m", terminal.seen)
     finally:
@@ -260,7 +277,7 @@ def test_a_terminal_that_can_do_nothing_gets_plain_lines(log: str) -> None:
     done = subprocess.run(
         [*VERB, log, "--rate", "0"], capture_output=True, text=True, env={**os.environ, "TERM": "dumb"}
     )
-    assert done.returncode == 0 and "\x1b" not in done.stdout and done.stdout.count("\n") == 6
+    assert done.returncode == 1 and "\x1b" not in done.stdout and done.stdout.count("\n") == 6
 
 
 def test_a_reader_that_goes_away_is_no_error(log: str) -> None:

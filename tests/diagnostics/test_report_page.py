@@ -156,8 +156,8 @@ def test_the_verb_writes_the_page_and_says_where(
 ) -> None:
     log, out = tmp_path / "run.log", tmp_path / "run.html"
     log.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
-    assert main(["report", str(log), "-o", str(out)]) == 0
-    assert str(out) in capsys.readouterr().out
+    assert main(["report", str(log), "-o", str(out)]) == 1  # the verdict's status: it ends in an emergency brake
+    assert re.fullmatch(rf"saved {out} \(\d+ kB\); verdict: NOT OK: 1 problem.*\n", capsys.readouterr().out)
     assert out.read_text().startswith("<!doctype html>")
 
 
@@ -168,10 +168,10 @@ def test_any_signals_can_be_on_the_page_of_a_foreign_dbc_too(
     lines = [*log_lines(frames), b"(12.000000) vcan0 18FF0001#0A", b"(12.100000) vcan0 18FF0001#14"]
     log.write_bytes(b"\n".join(lines) + b"\n")
     dbc.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 2566848513 Team: 1 AI\n SG_ TEMP : 0|8@1+ (0.5,0) [0|0] "C" AI\n')
-    assert main(["report", str(log), "-o", str(out), "--signals", "AS_STATE,VCU2AI_Speeds.*"]) == 0
+    assert main(["report", str(log), "-o", str(out), "--signals", "AS_STATE,VCU2AI_Speeds.*"]) == 1
     first = data_of(out.read_text())["plots"][0]
     assert [curve["name"] for curve in first["curves"]] == ["VCU2AI_Status.AS_STATE"]
-    assert main(["report", str(log), "-o", str(out), "--dbc", str(dbc), "--signals", "TEMP"]) == 0
+    assert main(["report", str(log), "-o", str(out), "--dbc", str(dbc), "--signals", "TEMP"]) == 1
     curve = data_of(out.read_text())["plots"][0]["curves"][0]
     assert (curve["name"], unpacked(curve, 0)[1].tolist()) == ("Team.TEMP", [5.0, 10.0])
     assert main(["report", str(log), "-o", str(out), "--signals", "NO_SUCH"]) == 1

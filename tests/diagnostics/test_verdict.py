@@ -10,8 +10,10 @@ import pytest
 from story_runs import branch, driving, hand_made
 
 from fsai_hil.simulator.faults import Drop
+from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
+from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
 from fsai_vcu.diagnostics.statistics.measure import measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
@@ -43,6 +45,17 @@ def in_order(*parts: Frames) -> Frames:
 def test_a_sound_drive_is_ok_in_an_adapters_batches_too(drive: Frames, batch_ns: int) -> None:
     verdict = judged(replace(drive, t_ns=(drive.t_ns // batch_ns + 1) * batch_ns))
     assert verdict.ok and verdict.status == 0, list(verdict.lines())
+
+
+def test_verbs_that_judge_a_log_have_one_exit_status(drive: Frames, tmp_path: Path) -> None:
+    spoilt = drive.only((drive.can_id != 0x525) | (drive.t_ns < drive.t_ns[-1] - S))
+    for frames, status in ((drive, 0), (spoilt, 1)):
+        path, page = tmp_path / "run.log", tmp_path / "run.html"
+        path.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
+        assert [main([verb, str(path)]) for verb in ("check", "stats", "explain")] == [status] * 3
+        assert [main(["monitor", str(path), *how]) for how in (["--json"], ["--rate", "0"], [])] == [status] * 3
+        assert main(["report", str(path), "-o", str(page)]) == status
+        assert page.exists()
 
 
 @pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x521, 0x527)])

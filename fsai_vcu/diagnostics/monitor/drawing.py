@@ -16,6 +16,7 @@ STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
 _LIGHT_STYLES: Final = {"yellow": "bold black on yellow", "blue": "bold white on blue"}
 _FRESHNESS_STYLES: Final = {Freshness.LATE: WARN, Freshness.LOST: BAD, Freshness.NEVER: FAINT}
 _WEIGHT_STYLES: Final = {Weight.NOTE: FAINT, Weight.STATE: "", Weight.WARNING: WARN, Weight.FAULT: BAD}
+_FINDING_STYLES: Final = {"problem": BAD, "unknown": WARN, "note": FAINT}
 _SHORT: Final = 20  # lines: on fewer the reasons go before everything else
 _NARROW: Final = 70
 _MANY_REASONS: Final = 4
@@ -43,6 +44,8 @@ def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = Fa
     short = height < _SHORT
     lines = [*_state(picture, dark_phase)[: 2 if short else 3], *_why(picture, width, remedies=not short)]
     lines += [_faults(picture), *(line((f"! {text}", BAD), wrap=True) for text in picture.link)]
+    findings = [(text, _FINDING_STYLES.get(text.partition(":")[0], "")) for text in picture.findings]
+    lines += [line(one, wrap=True) for one in findings if one[1] != FAINT]
     if any(one.asked is not None or one.given is not None for one in picture.actuators.values()):
         lines += _figures(picture)
     if picture.as_state and not short:
@@ -50,6 +53,7 @@ def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = Fa
     worst_first = sorted(picture.messages, key=lambda m: m.freshness in (Freshness.FRESH, Freshness.NEVER))
     if picture.frames:
         lines += [message_row(message, width) for message in worst_first]
+    lines += [line(one, wrap=True) for one in findings if one[1] == FAINT]
     return Text("\n").join(lines)
 
 

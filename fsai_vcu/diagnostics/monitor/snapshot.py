@@ -118,6 +118,7 @@ class Picture:
     handshake_waiting_s: float | None = None  # since a toggle that has not been answered yet
     load: float | None = None
     link: tuple[str, ...] = ()  # what is wrong on the bus itself, in sentences
+    findings: tuple[str, ...] = ()  # of a log: its verdict, and what was found up to here
     messages: tuple[MessagePicture, ...] = ()
 
     @property
@@ -165,6 +166,7 @@ def plain_line(picture: Picture, clock: str, signals: Sequence[History] = ()) ->
         *(f"{one.name} {one.value}" for one in signals),
         f"faults: {', '.join(picture.all_faults)}" if picture.all_faults else "",
         *picture.link,
+        *(text for text in picture.findings if not text.startswith("note")),
     ]
     if picture.why_not_driving:
         words.append("why not driving: " + "; ".join(one.words for one in picture.why_not_driving))

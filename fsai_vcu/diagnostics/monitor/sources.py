@@ -6,8 +6,9 @@ import math
 import time
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 from datetime import datetime
 from typing import Final, NamedTuple
 
@@ -117,6 +118,7 @@ class Log:
         self._pieces: list[tuple[View, Frames]] = []
         self._rate = rate
         self._looked: Moment | None = None
+        self.findings: Callable[[int], Sequence[str]] | None = None  # up to a time; for what judges logs to be set
         self.playing = rate is not None
         self.empty = not self._read_to(-math.inf)
         self.begin_ns = self.position_ns = view.memory.begin_ns or 0
@@ -126,13 +128,17 @@ class Log:
     @property
     def end_ns(self) -> int:
         """Of the last frame: for that the whole log is read."""
-        self._read_to(math.inf)
+        self.read_all()
         return self._view.memory.newest_ns or 0
 
     @property
     def ended(self) -> bool:
         """Nothing comes behind the position."""
         return not self._read_to(self.position_ns + 1)
+
+    def read_all(self) -> None:
+        """To its end."""
+        self._read_to(math.inf)
 
     def seek(self, t_ns: int) -> None:
         """To that time, or to the end that is nearer."""
@@ -162,6 +168,8 @@ class Log:
             if picture.as_state == "EMERGENCY_BRAKE" and age_s > 1.0 and view.emergency is not None:
                 view.explain_as(self._at(self.position_ns - round((age_s - 1.0) * S))[0])
                 picture = view.picture(self.position_ns)
+            if self.findings:
+                picture = replace(picture, findings=tuple(self.findings(self.position_ns)))
             words = f"{(self.position_ns - self.begin_ns) / S:.1f} s into the log"
             self._looked = Moment(view, picture, self.position_ns / S, words)
         return self._looked
@@ -172,7 +180,7 @@ class Log:
 
     def events(self) -> list[TimelineEntry]:
         """All of the log."""
-        self._read_to(math.inf)
+        self.read_all()
         return self._view.events()
 
     def close(self) -> None:

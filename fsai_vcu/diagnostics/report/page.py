@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from importlib.resources import files
 from typing import Any, Final
@@ -15,8 +15,8 @@ from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.render import before, extent, seconds
 from fsai_vcu.diagnostics.report.curves import Plot, drawing, figures, lanes, packed, plots, plots_of, way_of
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
-from fsai_vcu.diagnostics.verdict import Verdict, judge_log
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics
+from fsai_vcu.diagnostics.verdict import Verdict
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3
@@ -24,16 +24,16 @@ _ALSO: Final = 3
 Chosen = dict[str, list[tuple[str, Series]]]
 
 
-def page_of(record: Record, name: str, chosen: Chosen | None = None) -> str:
-    """The page of a log that is sorted already; `chosen`: signals to be plotted too, by unit."""
+def page_of(
+    record: Record, buses: Sequence[BusStatistics], verdict: Verdict, name: str, chosen: Chosen | None = None
+) -> str:
+    """The page of a log that is sorted, measured and judged; `chosen`: signals to be plotted too, by unit."""
     style, script = _part("page.css"), _part("page.js")
     policy = (
         f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
     drawn = [*plots_of(chosen or {}), *plots(record)]
-    buses = measure(record.frames, record.decoder, revision=record.revision.name)
-    verdict = judge_log(record, buses)
     story = verdict.explanation
     return "".join(
         (
@@ -49,7 +49,7 @@ def page_of(record: Record, name: str, chosen: Chosen | None = None) -> str:
             _summary(record),
             _section("plots", "Over time", *_plots(drawn)),
             *_events(story),
-            _section("figures", "Figures", *_figures(buses[0])),
+            _section("figures", "Figures", *_figures(next(bus for bus in buses if bus.channel == record.channel))),
             "</main>\n<footer>Made by <code>fsai-vcu report</code> from the frames alone.</footer>\n",
             f'<script type="application/json" id="data">{_data(record, story, drawn)}</script>\n',
             f"<script>{script}</script>\n</body>\n</html>\n",

@@ -1,4 +1,4 @@
-"""One judgement of a log, shared by check, stats, explain and report: its findings, and the exit status they give.
+"""One judgement of a log, shared by check, stats, explain, report and monitor: findings, and their exit status.
 
 verdict = judge_log(record, buses)            # explain.Record, statistics.measure
 verdict.explanation                           # explain.explained
@@ -88,12 +88,12 @@ class Verdict:
             return f"UNKNOWN: {self.unknown[0]}{end}"
         return f"OK{end}"
 
-    def lines(self) -> Iterator[str]:
+    def lines(self, *, remedies: bool = True) -> Iterator[str]:
         """Each finding as people read it, and what to do about it."""
         yield from (f"unknown: {why}" for why in self.unknown)
         for finding in self.findings:
             yield f"{finding.severity}: {self.moment(finding)}{finding.text}"
-            if finding.remedy:
+            if finding.remedy and remedies:
                 yield f"    what to do: {finding.remedy}."
 
     def moment(self, finding: Finding) -> str:
