@@ -6,6 +6,7 @@ import asyncio
 import signal
 import time
 from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from typing import Any, ClassVar, Final
 
 from rich.text import Text
@@ -38,8 +39,8 @@ g           a second to go to
 What changed within the last second is highlighted. The AS state
 has the colour of the car's lights, and flashes as they do.
 Nothing is ever sent."""
-FOOT: Final = "q quit ? help p pause Tab page / find"
-FOOT_OF_A_LOG: Final = " ← → 1 s  n N state  g second"
+FOOT: Final = ("q quit", "? help", "p pause", "Tab page", "/ find")  # the most needed first: as many as fit
+FOOT_OF_A_LOG: Final = ("q quit", "? help", "p pause", "← → 1 s", "Tab page", "n N state", "g second", "/ find")
 _BLINK_S: Final = 0.5
 _WIDE: Final = 60
 
@@ -95,7 +96,7 @@ class MonitorApp(App[None]):
         self._scroll = VerticalScroll(self._text, id="scroll")
         self._list = OptionList(markup=False)
         self._input = Input(compact=True)
-        self._foot = Static(FOOT + FOOT_OF_A_LOG * (self._replayed is not None), id="foot", markup=False)
+        self._foot = Static(id="foot", markup=False)
 
     def compose(self) -> ComposeResult:
         yield from (self._head, self._scroll, self._list, self._input, self._foot)
@@ -128,6 +129,8 @@ class MonitorApp(App[None]):
         self.moment = self._source.look()
         width, height = self.size
         page = self._page if width >= _WIDE else ""
+        keys = accumulate(FOOT_OF_A_LOG if self._replayed else FOOT, "{} {}".format)
+        self._foot.update(max((text for text in keys if len(text) <= width), key=len, default=""), layout=False)
         self._head.update(drawing.head(self.moment.picture, self._position(), width, page), layout=False)
         if self._page == "help":
             self._text.update(HELP)
