@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, record_in
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, part_of, record_in
 from fsai_vcu.diagnostics.explain import explained
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import Signal
@@ -19,20 +19,23 @@ ABOUT = """\
 Prints what the second log has otherwise: messages missing or new, mean periods
 more than 10 % apart, signals whose range or mean differs by more than 10 % of
 their range, and each log's incidents. Exit status: 0 nothing differs, 1
-something does, or something could not be read, 2 wrong use."""
+something does, or something could not be read, 2 wrong use. --from and --to are
+of each log's own time; of chosen messages or signals no incidents are told."""
 SHARE: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs=2, metavar="LOG", help="any log that decode reads")
+    add_part_arguments(parser, signals=True)
     add_database_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     decoding = Decoding("compare", args)
+    patterns = decoding.patterns(args.signals)
     records, buses, incidents, status = [], [], [], 0
     for name in args.logs:
-        sources = Sources("compare", [name])
+        sources = Sources("compare", [name], part=part_of(args, decoding))
         if sources.live:
             raise UserError(f"{name} is a bus; compare takes two logs")
         record = record_in(args, sources, decoding)
@@ -42,10 +45,10 @@ def run(args: argparse.Namespace) -> int:
         records.append(record)
         buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
         incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in explained(record).incidents])
-    lines = [*_messages(*buses), *_signals(*records)]
+    lines = [*([] if patterns else _messages(*buses)), *_signals(records[0], records[1], patterns or ["*"])]
     if records[0].revision.name != records[1].revision.name:
         lines.append(f"interface revision: {records[0].revision.name}, then {records[1].revision.name}")
-    if incidents[0] != incidents[1]:
+    if incidents[0] != incidents[1] and not (patterns or args.messages):  # some messages alone have no story
         for name, here, there in zip(args.logs, incidents, reversed(incidents), strict=True):
             lines += [f"only in {name}: {words}" for words in (Counter(here) - Counter(there)).elements()]
     print("\n".join(lines) if lines else "nothing differs")
@@ -65,9 +68,9 @@ def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:
             yield f"{name}: every {before.mean_ms:.1f} ms, then every {after.mean_ms:.1f} ms"
 
 
-def _signals(first: Record, second: Record) -> Iterator[str]:
+def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[str]:
     for layout in first.decoder.databases.layouts.values():
-        for signal in layout.signals:
+        for signal in layout.signals_like(patterns):
             before, after = (record.series(Signal(layout.name, signal.name)) for record in (first, second))
             if not len(before) or not len(after):
                 continue

@@ -19,7 +19,7 @@ EXAMPLE = "fsai-vcu decode run.log.gz --json | jq 'select(.message==\"VCU2AI_Ste
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sources_argument(parser, "logs")
-    add_part_arguments(parser)
+    add_part_arguments(parser, signals=True)
     add_database_arguments(parser)
     parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     decoding = Decoding("decode", args)
+    decoding.show_signals(args.signals)
     sources = Sources("decode", args.logs, decoding, part_of(args, decoding))
     sources.learn()
     try:

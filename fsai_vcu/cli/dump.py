@@ -62,11 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="only frames that differ from their message's last one, by more than HANDSHAKE",
     )
-    add("--signals", metavar="NAME,…", help="only frames with these signals, and only these; with * and ?")
     add("--short", action="store_true", help="signals that are not 0 alone: a line of 0x520 in 150 columns")
     add("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
-    add_part_arguments(parser)
+    add_part_arguments(parser, signals=True)
     add("--numbers", action="store_true", help="numbers where the database has words for them")
     add("--json", action="store_true", help="one JSON object per frame")
 
@@ -119,12 +118,9 @@ class _Lines:
         self._last_ns: int | None = None
 
     def chosen(self, frames: Frames) -> Frames:
-        """The frames that --changes and --signals leave."""
+        """The frames that --changes leaves."""
         import numpy as np
 
-        if self._args.signals is not None and len(frames):
-            shown = np.fromiter(self._decoding.databases.layouts, np.int64) & 0x1FFF_FFFF
-            frames = frames.only(np.isin(frames.can_id, shown))
         if not self._args.changes or not len(frames):
             return frames
         masks = {key: self._compared(layout) for key, layout in self._decoding.databases.layouts.items()}

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message")
     add("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
     add("--words", action="store_true", help="csv, parquet: words where the database has them, not numbers")
-    add_part_arguments(parser, end="--until")  # --to is the format
+    add_part_arguments(parser, end="--until", signals=True)  # --to is the format
     add_database_arguments(parser)
 
 
@@ -62,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from error
     check_format(args.to)
     decoding = Decoding("export", args)
+    decoding.show_signals(args.signals)
     sources = Sources("export", args.logs, decoding, part_of(args, decoding))
     if sources.live:
         raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")

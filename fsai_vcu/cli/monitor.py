@@ -19,7 +19,7 @@ from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.verdict import Verdict
-from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = (
     "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2\n"
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if not sources.live and args.seconds is not None:
         raise WrongUse("--seconds is for live buses; --at shows a moment of a log")
     decoding = Decoding("monitor", args)
-    patterns = _patterns(args.signals, decoding)
+    patterns = decoding.patterns(args.signals)
     name = args.source.partition(",")[0]
     view = View(
         "standard input" if name == "-" else Path(name).name, args.revision, decoding.databases if args.dbc else None
@@ -112,16 +112,6 @@ def _show(
     else:
         _print_lines(source, every_s, patterns, as_json=args.json)
     return 0
-
-
-def _patterns(names: str | None, decoding: Decoding) -> list[str]:
-    """The signals asked for. Raises UserError where a database knows none of them."""
-    patterns = list(filter(None, (names or "").split(",")))
-    layouts = [layout for databases in decoding.possible() for layout in databases.layouts.values()] if patterns else []
-    for pattern in patterns:
-        if not any(layout.signals_like([pattern]) for layout in layouts):
-            raise UserError(f"no signal {pattern}; fsai-vcu dbc show lists them")
-    return patterns
 
 
 def _is_terminal() -> bool:

@@ -10,7 +10,15 @@ import time
 from typing import Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import LOG_HELP, Progress, Sources, add_part_arguments, part_of
+from fsai_vcu.cli.sources import (
+    LOG_HELP,
+    Decoding,
+    Progress,
+    Sources,
+    add_database_arguments,
+    add_part_arguments,
+    part_of,
+)
 from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.runtime.bus import BusLost, open_bus
@@ -25,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
     add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
     add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
-    add_part_arguments(parser, messages=False)
+    add_part_arguments(parser)  # no signals: a frame is sent whole
+    add_database_arguments(parser)
     add("--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out")
     add(
         "--with-ai-ids",
@@ -38,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, loop=0)
     if not 0.0 < args.rate < math.inf:
         raise WrongUse(f"--rate is {args.rate:g}, not a rate")
-    sources = Sources("replay", [args.log], part=part_of(args))
+    sources = Sources("replay", [args.log], part=part_of(args, Decoding("replay", args)))
     if sources.live:
         raise WrongUse(f"{args.log} is an interface; replay reads logs")
     physical = is_physical(args.interface)

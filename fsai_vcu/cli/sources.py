@@ -49,7 +49,10 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
     )
 
 
-def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to", *, messages: bool = True) -> None:
+def add_part_arguments(
+    parser: argparse.ArgumentParser, end: str = "--to", *, messages: bool = True, signals: bool = False
+) -> None:
+    """Which part of a log: times, messages, and `signals` for a verb that shows them."""
     parser.add_argument(
         "--from",
         dest="begin",
@@ -62,6 +65,10 @@ def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to", *, me
             "--messages",
             metavar="NAME,…",
             help="only these: names with * and ?, or identifiers (0x520)",
+        )
+    if signals:
+        parser.add_argument(
+            "--signals", metavar="NAME,…", help="only these, and the messages that have them; with * and ?"
         )
 
 
@@ -175,14 +182,29 @@ class Decoding:
             return [self.databases]
         return [load_databases((), name) for name in REVISIONS]
 
+    def patterns(self, names: str | None) -> list[str]:
+        """The signals asked for. Raises UserError where a database knows none of them."""
+        patterns = list(filter(None, (names or "").split(",")))
+        layouts = [layout for databases in self.possible() for layout in databases.layouts.values()] if patterns else []
+        for pattern in patterns:
+            if not any(layout.signals_like([pattern]) for layout in layouts):
+                raise UserError(f"no signal {pattern}; fsai-vcu dbc show lists them")
+        return patterns
+
     def show_signals(self, names: str | None) -> None:
         """From now on only these signals, by name or pattern, and the messages that have them. Raises UserError."""
         if names is None:
             return
-        self._shown = tuple(filter(None, names.split(",")))
+        self._shown = tuple(self.patterns(names))
         self._forget()
-        if not any(databases.with_signals(self._shown).layouts for databases in self.possible()):
-            raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
+
+    def chosen(self, frames: Frames) -> Frames:
+        """Those of the messages that have the signals asked for."""
+        if self._shown is None or not len(frames):
+            return frames
+        import numpy as np
+
+        return frames.only(np.isin(frames.can_id, np.fromiter(self.databases.layouts, np.int64) & 0x1FFF_FFFF))
 
     def hear(self, frames: Frames) -> None:
         """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
@@ -301,8 +323,13 @@ class Sources:
     def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
         if self.first_ns is None and len(frames):
             self.first_ns = int(frames.t_ns[0])
-        shown = frames if self._part is None else self._part.of(frames)
+        shown = self._chosen(frames)
         return shown.only(rule.passes(shown)) if rule else shown
+
+    def _chosen(self, frames: Frames) -> Frames:
+        """Of the part, and with the signals, that are asked for."""
+        shown = frames if self._part is None else self._part.of(frames)
+        return shown if self._decoding is None else self._decoding.chosen(shown)
 
     def _live_chunks(self, seconds: float | None, announced: bool, waits: bool) -> Iterator[Frames]:
         from fsai_vcu.diagnostics.log.live import LiveSource
@@ -319,8 +346,7 @@ class Sources:
                         self._say(text)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
-                    shown = filtered(frames, rules)
-                    yield shown if self._part is None else self._part.of(shown)
+                    yield self._chosen(filtered(frames, rules))
             finally:
                 for text in source.missing():
                     self._say(text)

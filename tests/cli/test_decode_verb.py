@@ -172,3 +172,10 @@ def test_a_folder_is_one_log_in_the_order_of_time(tmp_path: Path, capsys: pytest
     assert main(["decode", str(tmp_path)]) == 0
     stamps = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert stamps == ["(2.000000)", "(10.000000)"]
+
+
+def test_signals_by_pattern_leave_the_others_out(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
+    assert main(["decode", str(log), "--signals", "angle,VCU2AI_Steer.*_MAX"]) == 0
+    shown = "VCU2AI_Steer(ANGLE: 10.0 deg, ANGLE_MAX: 10.0 deg)"
+    assert capsys.readouterr().out == f"(1.000000) can0 523#640064006400 :: {shown}\n"

@@ -135,3 +135,13 @@ def test_a_pipe_or_a_device_is_not_replaced(log: Path, capsys: pytest.CaptureFix
 def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(log), "--to", "mcap", "--words", "-o", str(log.with_name("out"))]) == 2
     assert "--words does not go with mcap" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap"])
+def test_only_the_signals_asked_for_are_exported(log: Path, kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
+    out = log.with_name(f"tables.{kind}")
+    assert main(["export", str(log), "--to", kind, "-o", str(out), "--signals", "ANGLE"]) == 0
+    assert capsys.readouterr().err.startswith("1 table, 1 rows of 1 frames")
+    if kind == "csv":
+        assert [cell.split()[0] for cell in columns(out / "VCU2AI_Steer.csv")[0]] == ["time", "ANGLE"]

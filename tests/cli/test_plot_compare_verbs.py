@@ -52,3 +52,24 @@ def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.Captu
         "0x523 VCU2AI_Steer: every 10.0 ms, then every 20.0 ms",
         "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg",
     ]
+
+
+def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = log(tmp_path / "a.log"), log(tmp_path / "b.log", angle=80)
+    with second.open("a") as file:
+        file.write("".join(f"({3 + ms / 1000:.6f}) can0 513#0500\n" for ms in range(0, 500, 10)))
+    argv = ["compare", str(first), str(second)]
+    angle = "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg"
+    new = "0x513 AI2VCU_Steer: only in the second log"
+    for part, lines in (
+        ([], [new, angle]),
+        (["--to", "1.5"], [angle]),
+        (["--messages", "AI2VCU_*"], None),
+        (["--signals", "ANGLE"], [angle]),
+        (["--signals", "*_MAX"], ["nothing differs"]),
+    ):
+        main([*argv, *part])
+        shown = capsys.readouterr()
+        assert shown.out.splitlines() == lines if lines else "no frame of" in shown.err
+    assert main([*argv, "--signals", "NO_SUCH"]) == 1
+    assert "no signal NO_SUCH" in capsys.readouterr().err

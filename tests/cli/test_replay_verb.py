@@ -83,3 +83,10 @@ def test_a_broken_log_is_sent_up_to_the_break_and_fails(
     assert main(["replay", log, "-i", BUS]) == 1
     assert len(received(bus, 4)) == 4
     assert "line 1: not a line of candump" in capsys.readouterr().err
+
+
+def test_messages_by_name_or_identifier_are_sent(log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", log, "-i", BUS, "--messages", "*_Steer,0x621"]) == 0
+    assert received(bus, 2) == ["523#640064006400", "621#01"]
+    assert main(["replay", log, "-i", BUS, "--messages", "NoSuch"]) == 1
+    assert "no message NoSuch" in capsys.readouterr().err
