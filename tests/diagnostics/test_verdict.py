@@ -204,3 +204,40 @@ def test_what_the_car_does_not_do_as_asked_is_named(drive: Frames, can_id: int, 
     story = explained(Record(changed(drive, can_id, data, int(drive.t_ns[-1]) - 1900 * MS)))
     found = {i.candidates[0].slug for i in story.incidents if i.kind is IncidentKind.MISMATCH}
     assert slug in found
+
+
+def patched(frames: Frames, can_id: int, mask: int, bits: int, begin_ns: int, length_ns: int) -> Frames:
+    """With these bits of that message's little-endian payload for so long."""
+    rows = (frames.can_id == can_id) & (frames.t_ns >= begin_ns) & (frames.t_ns < begin_ns + length_ns)
+    return replace(
+        frames, word=np.where(rows, frames.word & np.uint64(~mask & (2**64 - 1)) | np.uint64(bits), frames.word)
+    )
+
+
+@pytest.mark.parametrize(
+    ("can_id", "mask", "words"),
+    [
+        (0x522, 0xFFFF << 32, "REAR_AXLE_TRQ_MAX falls to 0 in AS_DRIVING for 40 ms, and the state stays"),
+        (0x520, 1 << 11, "GO_SIGNAL falls to 0 in AS_DRIVING for 40 ms, and the state stays"),
+        (0x526, 0xFFFF, "the VCU started anew: FL_PULSE_COUNT"),
+    ],
+)
+def test_what_the_car_does_in_passing_is_noted(drive: Frames, can_id: int, mask: int, words: str) -> None:
+    verdict = judged(patched(drive, can_id, mask, 0, int(drive.t_ns[-1]) - S, 40 * MS))
+    (finding,) = (one for one in verdict.findings if words in one.text)
+    assert finding.severity == "note" and verdict.ok
+    assert 0 <= (finding.t_ns or 0) - (drive.t_ns[-1] - S) < 10 * MS
+
+
+def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:
+    begin_ns = int(drive.t_ns[0]) + 3 * S
+    state = 0b1111 << 16
+    early = patched(drive, 0x520, state, 1 << 16, begin_ns, 300 * MS)  # AS_OFF, then AS_INIT again
+    texts = [one.text for one in judged(early).findings if one.severity == "note"]
+    assert "the VCU started anew: AS_STATE AS_OFF → AS_INIT" in texts
+
+
+def test_a_car_that_was_switched_off_has_not_restarted(drive: Frames) -> None:
+    ended = drive.only(drive.t_ns < drive.t_ns[-1] - S)
+    again = ended.at(ended.t_ns + (ended.t_ns[-1] - ended.t_ns[0]) + 10 * S)
+    assert "restart" not in [one.kind for one in judged(joined([ended, again])).findings]

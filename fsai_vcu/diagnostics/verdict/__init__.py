@@ -14,18 +14,24 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
+import numpy as np
+
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
 from fsai_vcu.diagnostics.explain.causes import CAUSES
+from fsai_vcu.diagnostics.explain.endings import REBOOT_NS
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.record import Record, ms
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
-from fsai_vcu.diagnostics.explain.signals import AS_STATE, DRIVING, READY, STATUS
+from fsai_vcu.diagnostics.explain.signals import AS_STATE, CAR_TORQUE_MAX, DRIVING, GO, PULSES, READY, STATUS, label
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
 
+OFF: Final = float(AsState.AS_OFF)
+NEARLY_FULL: Final = 65_000  # a counter of 16 bits goes on at 0
 MANY: Final = 3
 LOSSY: Final = 5  # messages that miss frames again and again
 LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
@@ -170,8 +176,38 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
+    findings += _in_passing(record)
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     return Verdict(record.begin_ns, explanation, tuple(findings), tuple(_unknown(record)))
+
+
+def _in_passing(record: Record) -> Iterator[Finding]:
+    """What the car did beside what incidents are made of: the first of each kind, and how often."""
+    state = record.series(AS_STATE)
+    found: list[tuple[int, str, str, int]] = []
+    for kind, signal in (*(("torque-limit", each) for each in CAR_TORQUE_MAX), ("go", GO)):
+        spans = record.series(signal).spans
+        drives = [state.sampled(spans.begin_ns + later_ns) == DRIVING for later_ns in (0, COMMS_LOST_NS)]
+        rows = np.flatnonzero(np.logical_and.reduce([spans.values == 0, ~spans.apart[:-1], *drives]))
+        for span in spans[int(rows[0]) : int(rows[0]) + 1] if len(rows) else ():
+            words = f"{signal.name} falls to 0 in AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and the state stays"
+            found.append((span.begin_ns, kind, words, len(rows)))
+    off = np.array([gap.end_ns or 0 for gap in record.gaps(STATUS, REBOOT_NS)])  # switched off: it has to start anew
+    for signal in (AS_STATE, *PULSES):
+        t_ns, values = record.series(signal).t_ns, record.series(signal).values
+        back = np.diff(values) < 0
+        back &= (values[:-1] == OFF) if signal == AS_STATE else (values[:-1] < NEARLY_FULL)
+        rows = np.flatnonzero(back) + 1
+        rows = rows[~(np.abs(t_ns[rows, None] - off) < REBOOT_NS).any(axis=1)]
+        if len(rows):
+            before, after = (label(signal, float(value)) for value in values[rows[0] - 1 : rows[0] + 1])
+            words = f"the VCU started anew: {signal.name} {before} → {after}"
+            found.append((int(t_ns[rows[0]]), "restart", words, len(rows)))
+    for kind in ("torque-limit", "go", "restart"):
+        for begin_ns, _, words, count in sorted(each for each in found if each[1] == kind)[:1]:
+            remedy = CAUSES["vcu_reboot"].remedy if kind == "restart" else ""
+            more = f", {count} times in all" if count > 1 else ""
+            yield Finding("note", kind, f"{words}{more}", begin_ns, remedy, channel=record.channel)
 
 
 def _of_incident(incident: Incident) -> Finding:
