@@ -20,8 +20,9 @@ from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
 _ENCODING = "cp1252"  # what the tools that write DBC files use
 
 # The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
-# lost: half the signals of a message, or the line that says that a signal is a float.
-_WHOLE_STATEMENT = re.compile(r'.*;|BO_ \d+ .+|SG_ .+\[.*\] *".*" *\w.*')
+# lost: half the signals of a message, or the line that says that a signal is a float. Without a semicolon only its line
+# end shows that a list of receivers is whole.
+_WHOLE_STATEMENT = re.compile(r'.*;\s*|(BO_ \d+ .+|SG_ .+\[.*\] *".*" *\w.*)\n')
 
 
 class DatabaseError(UserError, ValueError):
@@ -66,9 +67,12 @@ def _load_one(path: Path) -> Database:
 
 def check_whole(path: Path, text: str) -> None:
     """Raises DatabaseError for a DBC file that was cut off in its last statement."""
-    statements = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("//")]
+    lines = (line.lstrip() for line in text.splitlines(keepends=True))
+    statements = [line for line in lines if line and not line.startswith("//")]
     if not statements or not _WHOLE_STATEMENT.fullmatch(statements[-1]):
-        raise DatabaseError(f"{path}: not a valid DBC file: it ends in the middle of a statement")
+        raise DatabaseError(
+            f"{path}: not a valid DBC file: it ends in the middle of a statement, or without a line end"
+        )
 
 
 def make_flags_unsigned(database: Database) -> None:

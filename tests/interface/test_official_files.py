@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.interface.codec import Codec, EncodeError
-from fsai_vcu.interface.database import DatabaseError, dbc_dir, load_database
+from fsai_vcu.interface.database import DatabaseError, check_whole, dbc_dir, load_database
 from fsai_vcu.interface.enums import (
     AsState,
     Direction,
@@ -306,6 +306,22 @@ def test_a_file_that_was_cut_off_is_refused_wherever_the_cut_is(tmp_path: Path) 
             path.write_text("".join(lines[:number]) + line[: len(line) // 2], encoding="cp1252")
             with pytest.raises(DatabaseError, match="not a valid DBC file"):
                 load_database([path])
+
+
+@pytest.mark.parametrize(
+    "file", [GPS, dbc_dir() / "ads_dv_2021.dbc", dbc_dir() / "ads_dv_2026.dbc"], ids=lambda path: path.name
+)
+def test_a_cut_within_a_signals_line_is_refused(tmp_path: Path, file: Path) -> None:
+    path = tmp_path / "cut.dbc"
+    text = file.read_text(encoding="cp1252")
+    check_whole(path, text)
+    check_whole(path, text.rstrip())  # its last statement has a semicolon
+    begin = text.rindex("\n SG_ ") + 2
+    end = text.index("\n", begin)
+    for cut in range(begin + 1, end + 1):
+        with pytest.raises(DatabaseError, match="it ends in the middle of a statement"):
+            check_whole(path, text[:cut])
+    check_whole(path, text[: end + 1])
 
 
 def test_a_file_may_end_with_its_last_signal(tmp_path: Path) -> None:
