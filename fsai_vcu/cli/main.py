@@ -137,6 +137,8 @@ def _run(arguments: list[str]) -> int:
     try:
         return int(module.run(args))
     except UserError as error:
+        if isinstance(error.__cause__, BrokenPipeError):  # of the output, whatever else the verb was about
+            raise error.__cause__ from None
         print(f"fsai-vcu {verb}: {error}", file=sys.stderr)
         return 2 if isinstance(error, WrongUse) else 1
     except KeyboardInterrupt:
