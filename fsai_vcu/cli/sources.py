@@ -174,7 +174,8 @@ class Decoding:
         """Prints as --json and --numbers ask for, with the decoder of now."""
         args = self._args
         short = getattr(args, "short", False)
-        return LineWriter(self.decoder, as_json=args.json, words=not args.numbers, short=short)
+        rounded = self._verb == "dump" and not args.json  # decode's lines are cantools' to the last byte
+        return LineWriter(self.decoder, as_json=args.json, words=not args.numbers, short=short, rounded=rounded)
 
     def possible(self) -> list[Databases]:
         """The databases that may be meant: the given ones, or those of each revision while none is named."""

@@ -176,3 +176,17 @@ def test_frames_lost_to_a_slow_reader_are_reported(
     assert re.fullmatch(
         r"fsai-vcu dump: \d+ frames were lost: whoever reads the output is too slow for the bus\n", lost
     )
+
+
+@pytest.mark.parametrize("how", [[], ["--short"]])
+def test_numbers_have_the_decimals_of_their_scale(
+    tmp_path: Path, how: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(1.000000) can0 522#9B0779069E07\n(1.100000) can0 513#FAFF\n(1.200000) can0 621#0000003F00000042\n")
+    assert main(["dump", str(log), *how]) == 0
+    shown = capsys.readouterr().out
+    for value in ("194.7 Nm", "165.7 Nm", "195.0 Nm", "-0.6 deg", "32.0"):
+        assert value in shown
+    assert main(["decode", str(log)]) == 0
+    assert "194.70000000000002 Nm" in capsys.readouterr().out  # as cantools writes it

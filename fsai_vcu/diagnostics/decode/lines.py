@@ -31,14 +31,23 @@ class LineWriter:
     """Writes frames with their signals.
 
     as_json: one object per line. words: names of values instead of numbers, where the database has them. short: what
-    is not 0 alone.
+    is not 0 alone. rounded: numbers as people read them, not to the last bit as cantools has them.
     """
 
-    def __init__(self, decoder: Decoder, *, as_json: bool = False, words: bool = True, short: bool = False) -> None:
+    def __init__(
+        self,
+        decoder: Decoder,
+        *,
+        as_json: bool = False,
+        words: bool = True,
+        short: bool = False,
+        rounded: bool = False,
+    ) -> None:
         self._decoder = decoder
         self._json = as_json
         self._words = words
         self._short = short
+        self._rounded = rounded
         self._messages: dict[int, MessageText] = {}
         self._texts: dict[str, SignalText] = {}
 
@@ -106,9 +115,9 @@ class LineWriter:
         key = str(alone)
         if key not in self._texts:
             self._texts[key] = (
-                ShortText(alone, words=self._words)
+                ShortText(alone, words=self._words, rounded=self._rounded)
                 if self._short
-                else SignalText(alone, as_json=self._json, words=self._words)
+                else SignalText(alone, as_json=self._json, words=self._words, rounded=self._rounded)
             )
         return self._texts[key]
 

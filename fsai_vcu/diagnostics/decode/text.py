@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from typing import Any, Final
 
 import numpy as np
@@ -44,9 +45,10 @@ class SignalText:
     """Texts of the values of signals of plain messages; the arithmetic is Python's, as cantools' is.
 
     Each is made once, when it first comes up, where a table can have all. behind: what stands behind all its values.
+    rounded: to the decimals of scale and offset, without what binary arithmetic adds.
     """
 
-    def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool) -> None:
+    def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool, rounded: bool = False) -> None:
         self._layout = layout
         values = 1 << layout.length if layout.length <= _TABLE_BITS else 0
         self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
@@ -62,6 +64,10 @@ class SignalText:
         self._scale, self._offset = layout.scale, layout.offset
         if not layout.is_float and float(self._scale).is_integer() and float(self._offset).is_integer():
             self._scale, self._offset = int(self._scale), int(self._offset)
+        self._decimals: int | None = None
+        if rounded and not layout.is_float:
+            places = (-int(Decimal(str(each)).as_tuple().exponent) for each in (self._scale, self._offset))
+            self._decimals = max(0, *places)
 
     def texts(self, raws: Sequence[float]) -> Sequence[str]:
         """The values of these raw numbers, as they are printed."""
@@ -69,6 +75,8 @@ class SignalText:
         if self._scale != 1 or self._offset != 0:
             scale, offset = self._scale, self._offset
             values = [raw * scale + offset for raw in raws]
+            if self._decimals is not None:
+                values = [round(value, self._decimals) for value in values]
         if self._words:
             pairs = zip(raws, values, strict=True)
             return [self._words.get(raw, f"{value}{self._unit}") for raw, value in pairs]
@@ -99,8 +107,8 @@ class SignalText:
 class ShortText(SignalText):
     """The signal with its name; nothing where it is 0."""
 
-    def __init__(self, layout: SignalLayout, *, words: bool) -> None:
-        super().__init__(layout, as_json=False, words=words)
+    def __init__(self, layout: SignalLayout, *, words: bool, rounded: bool) -> None:
+        super().__init__(layout, as_json=False, words=words, rounded=rounded)
         self._name = layout.name
         for ending in ("_STATUS", "_STATE", "_SIGNAL"):
             self._name = self._name.removesuffix(ending)
