@@ -177,7 +177,10 @@ def test_options_that_make_no_sense_are_wrong_use(
 @pytest.mark.parametrize(
     ("end", "words"),
     [
-        (BENCH.index("TRIM") + 12, "{path}: not a valid DBC file: it ends in the middle of a statement"),
+        (
+            BENCH.index("TRIM") + 12,
+            "{path}: not a valid DBC file: it ends in the middle of a statement, or without a line end",
+        ),
         (BENCH.index("BA_DEF_"), "GAIN must be given: it has no initial value, and 0 is not in 5 … 50"),
     ],
 )
