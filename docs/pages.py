@@ -282,7 +282,7 @@ def figures() -> str:
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 5))
     rows = (
         (f"{runs} runs with a fault in each, {kinds} kinds of fault", f"worse than the rules allow: {worse}", "faults"),
-        (f"{driven} drives of every mission to its end", f"failed: {failed}", "missions"),
+        (f"{driven} drives, each mission to its end", f"failed: {failed}", "missions"),
         (
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
             f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a C loop: {idle[7]}, {idle[8]})",

@@ -104,9 +104,18 @@ def test_a_row_that_is_no_longer_measured_fails(
     rows = [row("a", "s", [1.0], "p", [2.0]), row("b", "s", [1.0], "p", [2.0])]
     assert checked(rows, "--write") == 0
     assert checked([*rows, row("new", "s", [1.0], "p", [2.0])], "--check") == 0
-    assert checked(rows[:1], "--check", "--quick") == 0
     assert checked(rows[:1], "--check") == 1
     assert "not measured: b" in capsys.readouterr().err
+
+
+def test_what_shows_no_fall_is_not_compared(checked: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    assert checked([row("a", "s", [1.0] * 3, "p", [10.0] * 3)], "--quick", "--write") == 2
+    assert checked([row("a", "s", [1.0] * 3, "p", [10.0] * 3)], "--write") == 0
+    assert checked([row("a", "s", [1.0] * 3, "p", [1.0, 3.0, 9.0])], "--check") == 0
+    assert "too noisy" in capsys.readouterr().out
+    bench.BASELINE.write_text("{")
+    assert checked([row("a", "s", [1.0] * 3, "p", [10.0] * 3)], "--check") == 1
+    assert "makes it anew" in capsys.readouterr().err
 
 
 def test_wall_times_count_where_processors_are_as_many(

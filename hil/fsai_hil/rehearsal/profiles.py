@@ -103,6 +103,8 @@ def graph_of(stacks: str, root: str) -> tuple[Node, int]:
         first = next((number for number, frame in enumerate(frames) if re.search(root, frame)), None)
         if first is not None:
             graph.add(frames[first:], int(count))
+    if not graph.samples:
+        raise OSError(f"no sample is in {root}")
     return graph, everything
 
 

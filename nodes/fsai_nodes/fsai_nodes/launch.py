@@ -129,7 +129,7 @@ def programs(given: Mapping[str, str]) -> list[Program]:
         texts["autonomous_at_power_up"] = texts["autonomous_at_power_up"] or "true"
         options = {name: texts[name] for name in ("mission", "revision", "seed", "laps", "track") if texts[name]}
         port = texts["truth_port"] or str(DEFAULT_PORT)
-        if not port.isdecimal():
+        if not (port.isdecimal() and 0 < int(port) < 1 << 16):
             raise ValueError(f"truth_port:={port}: not a port's number")
         words = simulated_car(texts["can_interface"], int(port), options)
         car = [Program("simulated_car", "fsai_vcu.cli.main", tuple(words))]
