@@ -168,11 +168,23 @@ def test_beyond_a_long_gap_the_lane_is_not_believed() -> None:
     assert lane.path_m[-1, 0] < 5.0
 
 
-@pytest.mark.parametrize(("first", "found"), [(10.0, True), (13.0, False)])
-def test_a_lane_may_begin_some_way_ahead_of_the_car(first: float, found: bool) -> None:
-    xy = [(first + x, y) for x in (0.0, 4.0) for y in (HALF, -HALF)]
-    path = find_lane(cones_of(xy, [1.0, -1.0] * 2), Known(0.0, HALF), 0.0, SETTINGS).path_m
-    assert (len(path) > 0) == found
+@pytest.mark.parametrize(
+    ("places", "supported_m"),
+    [
+        ((10.0, 14.0), 14.0),  # staged before the first cones
+        ((11.9, 14.5), 14.5),
+        ((13.0, 17.0), 0.0),
+        ((-3.0, 11.9, 14.5), 0.0),  # in the lane
+        ((-3.0, 0.0, 11.9, 14.5), 0.0),
+        ((-3.0, 0.0, 8.5, 14.5), 14.5),
+    ],
+)
+def test_only_a_staged_cars_lane_may_begin_far_ahead(places: tuple[float, ...], supported_m: float) -> None:
+    cones = cones_of([(x, y) for x in places for y in (HALF, -HALF)], [1.0, -1.0] * len(places))
+    before = np.array([(x, 0.0) for x in np.arange(-4.0, 14.0, 0.5)])
+    for middle_m in (None, before):
+        lane = find_lane(cones, Known(0.0, HALF, middle_m=middle_m), 0.0, SETTINGS)
+        assert lane.supported_m == pytest.approx(supported_m, abs=SETTINGS.path_step_m)
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -48,7 +48,7 @@ ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD = 4  # of the car, those believed from the last look included
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
-FIRST_GAP_M = 12.0  # to the first cones: a car may be staged before its lane begins
+FIRST_GAP_M = 12.0  # to the first cones of a car that is staged before its lane begins: none stand behind it
 BELIEVED_M = 10.0  # how far ahead at most an earlier middle is believed …
 BELIEVED_ASIDE_M, BELIEVED_COS = 1.0, 0.9  # … if the car is on it
 
@@ -143,11 +143,13 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
     along, lateral, off = _placed(line, cones.xy_m, cos, sin)
     along -= step_m * car
     size = np.abs(lateral)
-    beside = (off < 1.0) & (size < OUTSIDE_M) & (along > -1.0)
+    near = (off < 1.0) & (size < OUTSIDE_M)
+    beside = near & (along > -1.0)
     against = beside & ((size < BORDER_NEAR_M) | (size > BORDER_FAR_M) | (lateral * cones.side < -0.3))
+    first_gap_m = _first_gap_m(along[near], settings)
     end_m = min(
         [BELIEVED_M, step_m * (len(line) - 1 - car), *(along[against] - 2.0 * settings.step_m).tolist()]
-        + [_reach(along[beside & (lateral * side > 0.0)], settings) for side in (1.0, -1.0)]
+        + [_reach(along[beside & (lateral * side > 0.0)], first_gap_m, settings) for side in (1.0, -1.0)]
     )
     if end_m < settings.step_m:
         return NO_PATH, None
@@ -159,9 +161,18 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
     return line[:end], _Begin(beside & (along < end_m), x, y, yaw, turn / (2.0 * step_m), end_m)
 
 
-def _reach(along: Floats, settings: PlannerSettings) -> float:
-    """How far ahead of the car a border's cones, at these places along it, go on without too long a gap."""
-    reached, gap_m = 0.0, max(FIRST_GAP_M, settings.border_gap_max_m)
+def _first_gap_m(along: Floats, settings: PlannerSettings) -> float:
+    """How far ahead the first cones may be, of borders with cones at these places along the car's way, from BACKWARD_M
+    behind the car on."""
+    return settings.border_gap_max_m if (along <= 0.0).any() else max(FIRST_GAP_M, settings.border_gap_max_m)
+
+
+def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
+    """How far ahead of the car a border's cones, at these places along it, go on without too long a gap.
+
+    `gap_m`: to the first of them.
+    """
+    reached = 0.0
     for station in sorted(along[along > 0.0].tolist()):
         if station - reached > gap_m:
             break
@@ -493,8 +504,8 @@ def _centred(
         return line, stands, along - car_m, width, 0.0
     shift = np.interp(stations, stations[known], shift[known])
     moved = _smoothed(_moved_left(line, _within(shift, 2.5), cos, sin), settings)
-
-    return moved, stands, along - car_m, width, _reach(along[sides != 0.0] - car_m, settings)
+    borders = along[sides != 0.0] - car_m
+    return moved, stands, along - car_m, width, _reach(borders, _first_gap_m(borders, settings), settings)
 
 
 def _median(values: list[float]) -> float:
