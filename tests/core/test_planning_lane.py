@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsai_vcu.core.planning import lane as finder
 from fsai_vcu.core.planning.cone_memory import Cones
 from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -117,22 +119,37 @@ def test_where_the_cones_alone_allow_two_ways_colours_decide(way: float) -> None
     assert way * path[-1, 1] > 2.0
 
 
+@pytest.fixture
+def begun_m(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """How far ahead of the car each search began."""
+    search, begun = finder._search, []
+
+    def spied(*given: Any) -> Any:
+        begun.append(given[2].along_m)
+        return search(*given)
+
+    monkeypatch.setattr(finder, "_search", spied)
+    return begun
+
+
 @pytest.mark.parametrize("radius", RADII)
-def test_with_the_lane_of_the_last_look_the_same_is_found(radius: float) -> None:
+def test_with_the_lane_of_the_last_look_the_same_is_found(radius: float, begun_m: list[float]) -> None:
     cones = lane_cones(radius, colored=True)
     first = find_lane(cones, Known(1.0 / radius, HALF), 0.0, SETTINGS)
     again = find_lane(cones, Known(1.0 / radius, HALF, middle_m=first.middle_m), 0.0, SETTINGS)
     assert off_middle(again.path_m, radius) < 0.15
     assert len(again.path_m) >= len(first.path_m) - 1 and again.supported_m >= first.supported_m - 1.0
     assert (again.side * first.side >= 0.0).all()
+    assert begun_m[0] == 0.0 and begun_m[1] > 5.0
 
 
 @pytest.mark.parametrize("before_radius", [math.inf, 9.0])
-def test_where_cones_disagree_the_way_found_before_is_left(before_radius: float) -> None:
+def test_where_cones_disagree_the_way_found_before_is_left(before_radius: float, begun_m: list[float]) -> None:
     """It led through the border of the lane."""
     before = np.array([arc_point(s, before_radius, 0.0) for s in np.arange(-4.0, 14.0, 0.5)])
     lane = find_lane(lane_cones(-9.0, colored=True), Known(-1 / 9, HALF, middle_m=before), 0.0, SETTINGS)
     assert off_middle(lane.path_m, -9.0) < 0.3
+    assert begun_m == [0.0]
 
 
 def test_a_gap_in_a_hairpins_border_is_no_lane_in_view() -> None:

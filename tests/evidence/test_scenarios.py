@@ -10,7 +10,7 @@ import pytest
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, Since
 from fsai_hil.evidence.campaign.runner import SNAPSHOTS, drive_batch
-from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, run_case
+from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, drive_to, power_up, run_case
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
 
@@ -23,8 +23,10 @@ def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
     one = case("detector_inventing", Ami.AUTOCROSS, duration=800, count=12)  # chance of detector, planner and fault
     snapshots = Snapshots()
     copied = [Scenario(one, snapshots.rig(one), 1000) for _ in range(2)]
+    rig = power_up(one.world)
     assert one.leg_ms is not None
-    whole = Scenario(one, snapshots._driven(one.world, one.leg_ms), 1000)  # what was driven there, and no copy
+    drive_to(rig, one.leg_ms)
+    whole = Scenario(one, rig, 1000)
     for scenario in (*copied, whole):
         while not scenario.over:
             scenario.step()

@@ -68,11 +68,11 @@ DISPLACED = replace(skidpad_track(), car_start=Pose(-15.0 - NOSE_M - 2.8, 0.0, 0
 @pytest.mark.parametrize(
     ("setup", "detector", "sensors", "power_cycles"),
     [
-        (WorldSetup(missions=[Ami.ACCELERATION, Ami.STATIC_INSPECTION_B], gps=False), confident, (), 1),
+        (WorldSetup(missions=[Ami.ACCELERATION, Ami.STATIC_INSPECTION_B]), confident, (), 1),
         (WorldSetup(missions=[Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO], revision="2021"), confident, (), 0),
         (WorldSetup(missions=[Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False), colourless, (drifting,), 0),
-        (WorldSetup(missions=[Ami.AUTOCROSS], track=without_gate(), gps=False), unsure, (), 0),
-        (WorldSetup(missions=[Ami.TRACKDRIVE], track=OVAL, laps=2, revision="2021", gps=False), confident, (), 0),
+        (oval(), confident, (), 0),
+        (oval(missions=[Ami.TRACKDRIVE], track=without_gate(), laps=2, revision="2021"), unsure, (), 0),
     ],
     ids=lambda value: value.missions[0].name.lower() if isinstance(value, WorldSetup) else "",
 )
@@ -81,7 +81,7 @@ def test_every_mission_passes_by_the_rules_with_no_guard_acting(
 ) -> None:
     """In one revision each, some with a PCAN-GPS; a second mission follows without a restart of ours.
 
-    Planner and judge find the circles of the skidpad from elsewhere, without colours and in drift, and count a lap
+    Planner and judge find the circles of the skidpad from elsewhere, without colours and in drift, and count laps
     where no gate is. The campaign's full-length runs drive all in both revisions.
     """
     lockstep = Lockstep(setup)
@@ -97,7 +97,7 @@ def test_every_mission_passes_by_the_rules_with_no_guard_acting(
 
 
 def test_the_official_simulators_quirks_are_coped_with() -> None:
-    result = Lockstep(WorldSetup(missions=[Ami.ACCELERATION], profile="official-simulator", gps=False)).run()
+    result = Lockstep(oval(profile="official-simulator")).run()
     assert result.verdict.result == "pass", result.verdict.reasons
     assert not any("brake" in violation and "together" in violation for violation in result.wire.violations)
 
