@@ -164,8 +164,8 @@ def _result(args: argparse.Namespace, listener: Listener, recording: Recording, 
     silent = not (recording.taken or recording.messages or lost)
     if silent:
         _say(f"nothing was received on {args.interface}")
-        if not segment:  # an empty log would only keep the next recording from its name
-            for suffix in (args.output.suffix, ".mcap"):
+        if not segment:  # an empty log would only keep the next recording from its name, and the rest is about it
+            for suffix in (args.output.suffix, ".json", ".mcap"):
                 args.output.with_suffix(suffix).unlink(missing_ok=True)
     return 1 if lost or recording.in_trouble or (silent and not stopped) else 0
 

@@ -254,8 +254,10 @@ def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> N
     os.waitpid(terminal.process.pid, os.WUNTRACED)  # until it has stopped
     os.kill(terminal.process.pid, signal.SIGCONT)
     terminal.read(ENTER)
-    terminal.process.send_signal(signal.SIGINT)
+    terminal.process.send_signal(signal.SIGINT)  # as a signal; its key is typed above
+    terminal.read(f"{LEAVE}[^\x00]*{NOTHING}")
     assert terminal.process.wait(WITHIN_S) == 0
+    assert termios.tcgetattr(terminal.master) == terminal.before
 
 
 def test_a_log_is_moved_in_and_no_color_is_honoured(log: str) -> None:

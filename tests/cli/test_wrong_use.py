@@ -18,6 +18,7 @@ USES = [
     *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
     *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
     *((f"{verb} empty.log", 1, "no frames in it") for verb in ("decode", "monitor")),
+    *((f"{verb} garbage.log", 1, "line 1: not text") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --revision 2030", 2, "choose one of 2021, 2026") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --dbc gone.dbc", 1, "gone.dbc: cannot be read: No such") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --from 500", 1, "run.log is in that part") for verb in ("decode", "dump", "check", "explain")),
@@ -140,8 +141,8 @@ def test_wrong_use_is_one_clear_line_and_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("folder").mkdir()
-    for name, text in (("run.log", GOOD), ("empty.log", "")):
-        Path(name).write_text(text)
+    for name, data in (("run.log", GOOD.encode()), ("empty.log", b""), ("garbage.log", b"\xff\xfe\x00\n")):
+        Path(name).write_bytes(data)
     try:
         assert main(shlex.split(use)) == status
     except SystemExit as ended:
@@ -149,5 +150,5 @@ def test_wrong_use_is_one_clear_line_and_writes_nothing(
     said = capsys.readouterr()
     (line,) = (line for line in said.err.splitlines() if "left out" not in line)
     assert words in line
-    assert Path("run.log").read_text() == GOOD and len(list(tmp_path.iterdir())) == 3
+    assert Path("run.log").read_text() == GOOD and len(list(tmp_path.iterdir())) == 4
     assert said.out == "" or use.startswith(("track small_oval", "dbc show 0x513"))

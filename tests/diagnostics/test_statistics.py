@@ -179,6 +179,14 @@ def test_an_echo_that_takes_100_ms_is_a_problem_and_99_is_not() -> None:
     assert "handshake" not in {finding.kind for finding in problems(late(99 * MS))}
 
 
+def test_an_echo_that_is_a_cycle_late_has_its_real_time() -> None:
+    late = [replace(f, data=bytes([1 - f.data[0]]) + f.data[1:]) if f.can_id == 0x510 else f for f in NOMINAL]
+    bus = measured(late)
+    assert bus.handshake is not None and bus.handshake.answered == 298
+    assert (bus.handshake.response_ms.p50_ms, bus.handshake.response_ms.max_ms) == (11.0, 11.0)
+    assert "within 11.0 ms (p99): slow" in next(f.text for f in judge(bus) if f.kind == "handshake")
+
+
 def test_the_load_is_the_share_of_the_possible_bits() -> None:
     frames = [LogFrame(step * MS, "can0", 0x555, b"\x55" * 8) for step in range(1001)]
     bus = measured(frames)

@@ -13,6 +13,7 @@ from fsai_hil.simulator.faults import Drop
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
+from fsai_vcu.diagnostics.explain.signals import AS_STATE
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
 from fsai_vcu.diagnostics.statistics.measure import measure
@@ -158,8 +159,36 @@ def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:
 @pytest.mark.parametrize(("share", "severity"), [(0.1, "problem"), (0.004, "note")])
 def test_a_recording_that_loses_frames_is_one_finding(drive: Frames, share: float, severity: str) -> None:
     verdict = judged(drive.only(np.random.default_rng(0).random(len(drive)) > share))
-    assert [f.severity for f in verdict.findings if f.kind in ("lossy", "handshake", "gap")][:1] == [severity]
+    assert [f.severity for f in verdict.findings if f.kind in ("lossy", "handshake", "gap")] == [severity]
     assert not [finding for finding in verdict.findings if "AI_COMMS_LOST" in finding.text], "no echo took 100 ms"
+
+
+def test_pauses_of_everybody_are_no_lost_frames(drive: Frames) -> None:
+    of_run_s = (drive.t_ns - drive.t_ns[0]) / S
+    t_ns = drive.t_ns + np.searchsorted([3.0, 4.0, 5.0, 6.0], of_run_s, side="right") * 5 * S
+    assert "lossy" not in {finding.kind for finding in judged(replace(drive, t_ns=t_ns)).findings}
+
+
+def test_a_clock_set_back_is_no_second_car(drive: Frames) -> None:
+    middle = len(drive) // 2
+    back_ns = (drive.t_ns[middle] - drive.t_ns[0]) * (np.arange(len(drive)) >= middle)
+    verdict = judged(replace(drive, t_ns=drive.t_ns - back_ns))
+    assert verdict.ok, list(verdict.lines())
+    assert "clock" in {finding.kind for finding in verdict.findings}
+
+
+@pytest.mark.parametrize("count", [30, 100, 300])
+def test_a_short_log_accuses_no_second_car(drive: Frames, count: int) -> None:
+    head = drive.only(drive.t_ns > drive.t_ns[-1] - S).head(count)
+    squeezed = replace(head, t_ns=head.t_ns[0] + (head.t_ns - head.t_ns[0]) // 3)
+    assert "intruder" not in kinds(squeezed)
+
+
+def test_one_frame_with_a_wrong_time_moves_no_other(drive: Frames) -> None:
+    t_ns = drive.t_ns.copy()
+    t_ns[len(t_ns) // 2] -= S
+    verdict = judged(replace(drive, t_ns=t_ns))
+    assert verdict.ok, list(verdict.lines())
 
 
 def test_two_cars_on_the_bus_are_said_in_few_lines(drive: Frames) -> None:
@@ -174,6 +203,11 @@ def test_of_two_who_ask_no_mismatch_is_told(drive: Frames) -> None:
     ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
     zeros = replace(ours, t_ns=ours.t_ns + 1, word=np.zeros_like(ours.word))
     assert kinds(in_order(drive, zeros)) == ["intruder"]
+
+
+def test_columns_can_be_compared_without_an_error(drive: Frames) -> None:
+    one, other = (Record(drive).series(AS_STATE) for _ in range(2))
+    assert one != other and one.spans != other.spans
 
 
 def test_frames_out_of_order_do_not_move_what_follows(drive: Frames) -> None:

@@ -139,8 +139,9 @@ def test_a_killed_recorder_loses_at_most_1_s_and_resumes(
 def test_a_recorder_asked_to_end_has_everything_on_disk(
     ending: signal.Signals, bus: CanBus, recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
-    path = tmp_path / "run.log"
-    process = recorder("-o", str(path))
+    path, limits = tmp_path / "run.log", tmp_path / "limits.toml"
+    limits.write_text("max_speed_mps = 5.0  # the paddock\n")
+    process = recorder("-o", str(path), "--limits", str(limits), "--revision", "2021")
     sent = talk(bus, lambda: path.exists() and path.stat().st_size > 0)
     process.send_signal(ending)
     said = process.communicate(timeout=WITHIN_S)[1]
@@ -148,7 +149,10 @@ def test_a_recorder_asked_to_end_has_everything_on_disk(
     kept = numbers(path)
     assert kept == list(range(kept[0], sent[-1][0] + 1))
     assert said == f"{len(kept)} frames in {path}\n"
-    assert json.loads(path.with_suffix(".json").read_text())["frames"] == len(kept)
+    about = json.loads(path.with_suffix(".json").read_text())
+    assert (about["frames"], about["revision"]) == (len(kept), "2021")
+    assert about["operational_limits"]["content"] == "max_speed_mps = 5.0  # the paddock\n"
+    assert any("5" in line for line in about["operational_limits"]["in_force"])
 
 
 def test_a_recorder_of_a_silent_bus_is_stopped_without_failure(
@@ -165,17 +169,11 @@ def test_a_recorder_of_a_silent_bus_is_stopped_without_failure(
     assert process.returncode == 0 and f"nothing was received on loopback:{BUS}" in said
 
 
-def test_limits_are_stored_beside_the_log_and_silence_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    limits = tmp_path / "limits.toml"
-    limits.write_text("max_speed_mps = 5.0  # the paddock\n")
-    argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--revision", "2021"]
-    assert main([*argv, "--limits", str(limits)]) == 1, "the bus is silent"
+def test_silence_fails_and_leaves_no_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--mcap"]
+    assert main(argv) == 1, "the bus is silent"
     assert capsys.readouterr().err.endswith(f"fsai-vcu record: nothing was received on loopback:{BUS}\n")
-    assert not (tmp_path / "run.log").exists(), "an empty log keeps the next one from its name"
-    about = json.loads((tmp_path / "run.json").read_text())
-    assert about["revision"] == "2021"
-    assert about["operational_limits"]["content"] == "max_speed_mps = 5.0  # the paddock\n"
-    assert any("5" in line for line in about["operational_limits"]["in_force"])
+    assert list(tmp_path.iterdir()) == [], "an empty log keeps the next one from its name"
 
 
 def test_without_ros_one_line_says_what_is_needed(

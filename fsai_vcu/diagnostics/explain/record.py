@@ -21,7 +21,7 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.signals import Signal
-from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask
+from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straightened
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
@@ -32,7 +32,6 @@ Values = npt.NDArray[np.float64]
 
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
-OUT_OF_ORDER_NS: Final = 20 * MS
 _own_databases: Final = cache(load_databases)
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
@@ -58,7 +57,7 @@ class Span:
     after: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spans(Sequence[Span]):
     """Spans as columns. apart: where the log begins or a pause was before a span, and True for the log's end."""
 
@@ -94,7 +93,7 @@ class Spans(Sequence[Span]):
 NO_SPANS: Final = Spans(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.ones(1, np.bool_))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Series:
     """One signal over time, a value for each frame that carried it."""
 
@@ -376,14 +375,3 @@ def _car_channel(frames: Frames) -> int:
     ours = frames.channel[np.isin(frames.can_id, known)]
     counted = ours if len(ours) else frames.channel
     return int(np.bincount(counted).argmax()) if len(counted) else 0
-
-
-def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
-    """The times with every step back taken out, and by how much each is one. before_ns: of the frame before.
-
-    Small steps are no clock that was set, but frames of two receivers out of order: they do not move what follows.
-    """
-    back_ns = -np.diff(t_ns, prepend=t_ns[0] if before_ns is None else before_ns)
-    back_ns = np.where(back_ns > OUT_OF_ORDER_NS, back_ns, 0)
-    moved_ns = t_ns + np.cumsum(back_ns)
-    return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), back_ns

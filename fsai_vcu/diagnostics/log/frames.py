@@ -9,6 +9,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fsai_vcu.interface.units import MS
+
 # Bits of `flags`.
 EXTENDED: Final = 0x01
 REMOTE: Final = 0x02
@@ -20,6 +22,7 @@ RECEIVED: Final = 0x40  # the log says that its computer received the frame …
 SENT: Final = 0x80  # … or sent it; where neither is set the log does not say
 
 CLASSIC_BYTES: Final = 8
+OUT_OF_ORDER_NS: Final = 20 * MS
 
 _COLUMNS: Final = ("t_ns", "can_id", "flags", "length", "word", "channel")
 
@@ -157,3 +160,16 @@ def joined(parts: Iterable[Frames]) -> Frames:
     long = {row + begin: whole for part, begin in zip(kept, begins, strict=False) for row, whole in part.long.items()}
     columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in kept]) for name in _COLUMNS}
     return Frames(**columns, channels=channels, long=long)
+
+
+def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
+    """The times with every step back taken out, and by how much each is one. before_ns: of the frame before.
+
+    Small steps are no clock that was set, but frames of two receivers out of order, and neither is a step that the next
+    frame takes back: they do not move what follows.
+    """
+    back_ns = -np.diff(t_ns, prepend=t_ns[0] if before_ns is None else before_ns)
+    stays = np.diff(t_ns, append=t_ns[-1]) < back_ns
+    back_ns = np.where(stays & (back_ns > OUT_OF_ORDER_NS), back_ns, 0)
+    moved_ns = t_ns + np.cumsum(back_ns)
+    return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), back_ns

@@ -16,9 +16,19 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, Numbers, SignalSeries
-from fsai_vcu.diagnostics.explain.record import straightened
 from fsai_vcu.diagnostics.explain.signals import STATUS
-from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, LogFrame, Words, frames_of, joined
+from fsai_vcu.diagnostics.log.frames import (
+    ERROR,
+    EXTENDED,
+    REMOTE,
+    Frames,
+    Ints,
+    LogFrame,
+    Words,
+    frames_of,
+    joined,
+    straightened,
+)
 from fsai_vcu.diagnostics.monitor.snapshot import History
 from fsai_vcu.diagnostics.statistics.measure import keys_of
 from fsai_vcu.interface.codec import Codec

@@ -17,7 +17,7 @@ import numpy as np
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
-from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints, straightened
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BY_ID, Flow
@@ -77,10 +77,11 @@ class TimeSpread:
 
 @dataclass(frozen=True, slots=True)
 class MessageStatistics:
-    """One identifier. Times in ms, those of day in s of the log's clock.
+    """One identifier. Times in ms, those of day in s of the log's clock, as if it had never been set back.
 
     jitter: by how much intervals miss the expected period (the median, where none is expected). gaps: intervals in
-    which at least one frame is missing. frozen_ms: the longest time for which the payload stayed the same.
+    which at least one frame is missing. lost: the frames that are, but for those of pauses (from ten periods on).
+    frozen_ms: the longest time for which the payload stayed the same.
     """
 
     can_id: int
@@ -98,6 +99,7 @@ class MessageStatistics:
     mean_ms: float | None
     jitter_ms: TimeSpread
     gaps: int
+    lost: int
     longest_gap_ms: float | None
     longest_gap_at_s: float | None
     silent_ms: float  # from its last frame to the bus's last one
@@ -183,6 +185,7 @@ def _measure_channel(
     steps_ns = np.diff(frames.t_ns)
     backwards = int((steps_ns < -MS).sum())  # less is two frames stamped on two processors
     if (steps_ns < 0).any():
+        frames = frames.at(frames.t_ns + np.cumsum(straightened(frames.t_ns)[1]))  # the steps of a clock that was set
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
     duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
     bits = wire_bits(frames)
@@ -243,6 +246,7 @@ def _measure_message(
     typical_ns = expected_ns or quantile(np.sort(intervals), 0.5) or 0  # type: ignore[arg-type]
     timed = duration_ns > 0 and typical_ns > 0
     remote = (frames.flags[rows] & REMOTE) != 0
+    no_pauses = intervals[intervals < _LOST_PERIODS * typical_ns]
     wrong: dict[int, int] = {}
     if layout is not None:
         lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
@@ -265,6 +269,7 @@ def _measure_message(
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
         jitter_ms=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
         gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
+        lost=max(0, round(int(no_pauses.sum()) / typical_ns) - len(no_pauses)) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         silent_ms=int(frames.t_ns[-1] - t_ns[-1]) / MS,
@@ -325,6 +330,10 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
         mine = toggle_bits == bit
         first_ns[mine] = times[np.searchsorted(times, toggle_ns[mine])]
     in_time = first_ns < next_ns
+    if 2 * in_time.sum() < len(in_time):
+        # Echoes a cycle late come when a VCU that does not wait for them has toggled again. Where most come at once,
+        # such a one is rather that of the toggle after next, and its own was lost.
+        in_time |= first_ns - toggle_ns < COMMS_LOST_NS
     waited = (first_ns - toggle_ns)[in_time]
     # Before that, or before the log's end, an echo that is not there may come, or be a frame that the recording lost.
     unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)

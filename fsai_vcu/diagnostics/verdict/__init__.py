@@ -225,6 +225,7 @@ def _of_incident(incident: Incident) -> Finding:
 def _second_car(bus: BusStatistics) -> Finding | None:
     """The car's messages that come far more often than one car sends them."""
     mine = [message for message in bus.messages if message.can_id in VCU_IDS and not message.extended]
+    mine = [message for message in mine if (message.last_s - message.first_s) * S >= SHORT_NS]  # else it shows nothing
     rates = {m.can_id: (m.expected_ms or 0.0) / m.mean_ms for m in mine if m.mean_ms}
     twice = {can_id: rate for can_id, rate in rates.items() if rate > TWICE}
     if not twice:
@@ -239,14 +240,10 @@ def _second_car(bus: BusStatistics) -> Finding | None:
 
 def _losing(bus: BusStatistics) -> Finding | None:
     """Many messages that miss single frames again and again, by how many came: nothing is wrong with each of them."""
-    lost = {
-        message.can_id: message.count * (message.mean_ms / message.expected_ms - 1.0)
-        for message in bus.messages
-        if message.gaps >= MANY and message.mean_ms and message.expected_ms
-    }
-    lost = {can_id: frames for can_id, frames in lost.items() if frames >= MANY}
-    if len(lost) < LOSSY:
+    found = [message for message in bus.messages if message.gaps and message.lost and message.expected_ms]
+    if sum(min(message.gaps, message.lost) >= MANY for message in found) < LOSSY:
         return None
+    lost = {message.can_id: message.lost for message in found}
     part = sum(lost.values()) / (bus.frames + sum(lost.values()))
     text = f"frames of {len(lost)} of {len(bus.messages)} messages are missing again and again, {part:.1%} of all"
     remedy = "look why: the recording computer is too slow, the bus too full, or it has errors (fsai-vcu stats LOG)"
