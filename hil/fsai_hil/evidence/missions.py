@@ -1,8 +1,8 @@
 """`python -m fsai_hil.evidence.missions`: every mission, under every condition of the cone sensor, with many seeds.
 
 Each run is the whole AI side against the simulated car in lockstep, judged by the judge and by the rules on the bus.
-A mission with cones is driven on its own built-in track, autocross on the small oval and on a random circuit for each
-seed, too; tracks of files are driven by each mission they suit (a circuit by autocross alone). Runs are kept in a
+A mission with cones is driven on its own built-in track, autocross on the small oval and on a generated circuit for
+each seed, too; tracks of files are driven by each mission they suit (a circuit by autocross alone). Runs are kept in a
 record, and a run that is there is not driven again: more seeds or tracks may follow later, in the same record.
 """
 
@@ -30,7 +30,7 @@ from fsai_vcu.interface.enums import Ami
 
 TRACKS_VARIABLE: Final = "FSAI_TRACKS"  # folder of CSV files that are driven besides
 MIDLINE: Final = "_midline"  # files beside a track that are none
-AUTOCROSS_TOO: Final = ("small_oval", "random-SEED")
+AUTOCROSS_TOO: Final = ("small_oval", "generated-SEED")
 RECORD: Final = Path("out/missions/record.jsonl")
 LISTED: Final = 40  # failures
 
@@ -176,9 +176,9 @@ def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
         "Cones hit and times off course are sums over the runs; times are of a lap (acceleration: from line to line;"
         " missions without a track: in AS_DRIVING), of the runs that passed. Missions without cones are driven once:"
         " nothing in them is random, and the emergency"
-        " brake in which some end is among the faults. With `random-SEED` each seed is another track.",
+        " brake in which some end is among the faults. With `generated-SEED` each seed is another circuit by the rules.",
         "",
-        *(f"- *{name}*: {condition.what}" for name, condition in CONDITIONS.items()),
+        *(f"- *{name}*: {CONDITIONS[name].what}" for name in dict.fromkeys(run["condition"] for run in runs)),
         "",
         f"| {' | '.join(head)} |",
         f"|{'---|' * 3}{'---:|' * 7}",
@@ -234,7 +234,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--missions", type=_names, default=_names(every), metavar="A,B,…", help="default: all")
     add("--conditions", type=_conditions, default=list(CONDITIONS), metavar="A,B,…", help=", ".join(CONDITIONS))
     add("--seeds", type=_seeds, default=_seeds("100"), metavar="N|FIRST-LAST", help="default: 100, which is 1-100")
-    add("--tracks", type=_names, metavar="A,B,…", help="only these: names, random-SEED, CSV files, folders of them")
+    add("--tracks", type=_names, metavar="A,B,…", help="only these: names, generated-SEED, CSV files, folders of them")
     add("--record", type=Path, default=RECORD, metavar="FILE", help=f"where the runs are kept (default: {RECORD})")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one per processor)")
     add("-o", "--output", type=Path, metavar="FILE.md", help="write the document (default: to the terminal)")
