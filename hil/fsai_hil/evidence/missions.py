@@ -175,8 +175,8 @@ def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
         "",
         "Cones hit and times off course are sums over the runs; times are of a lap (acceleration: from line to line;"
         " missions without a track: in AS_DRIVING), of the runs that passed. Missions without cones are driven once:"
-        " nothing in them is random, and the emergency"
-        " brake in which some end is among the faults. With `generated-SEED` each seed is another circuit by the rules.",
+        " nothing in them is random, and the emergency brake in which some end is among the faults. With"
+        " `generated-SEED` each seed is another circuit by the rules.",
         "",
         *(f"- *{name}*: {CONDITIONS[name].what}" for name in dict.fromkeys(run["condition"] for run in runs)),
         "",
