@@ -201,6 +201,13 @@ class ScriptedVcu:
         """The newest 0x510; the default before the first."""
         return next((image for image in reversed(self.received) if isinstance(image, AiStatus)), AiStatus())
 
+    def hears(self, condition: Callable[[AiStatus], bool]) -> bool:
+        """Whether a 0x510 comes of which that is true: a service's answer may be here before the next cycle is sent."""
+        deadline = time.monotonic() + 10.0
+        while not condition(self.last_status()) and time.monotonic() < deadline:
+            self._stop.wait(0.005)
+        return condition(self.last_status())
+
     def _images(self, handshake: bool) -> Iterable[object]:
         yield replace(self.status, handshake=handshake)
         yield VcuDriveFront(torque_max_nm=195.0)

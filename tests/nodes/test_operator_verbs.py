@@ -47,10 +47,10 @@ def test_the_emergency_brake_is_asked_for_and_reset_by_verbs(
     assert (status, out, err.count("\n")) == (1, "", 1) and err.startswith("reset refused: ")
     with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)) as car:
         assert json.loads(verb("status", "--json", namespace="car1")[1])["emergency"]
-        assert car.last_status().estop_request
+        assert car.hears(lambda said: said.estop_request)
         status, out, err = verb("reset", "--json")
         assert (status, err) == (0, "") and json.loads(out).keys() == {"success", "message"}
-        assert not car.last_status().estop_request
+        assert car.hears(lambda said: not said.estop_request)
         status, _, err = verb("mode", "sport")
         assert status == 1 and "autonomous" in err
 
