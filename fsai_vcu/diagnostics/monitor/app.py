@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -104,10 +105,16 @@ class MonitorApp(App[None]):
     def on_mount(self) -> None:
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             asyncio.get_running_loop().add_signal_handler(each, self.exit)
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTSTP, self._stop_process)
         self.begin_capture_print(self, stdout=False)
         self.set_interval(self._every_s, self._tick)
         self._input.display = False
         self.action_page(self._page)
+
+    def _stop_process(self) -> None:
+        # By the event loop: textual's own handler waits for a lock that the code it interrupts may hold.
+        with self.suspend():
+            os.kill(os.getpid(), signal.SIGSTOP)
 
     def on_print(self, event: events.Print) -> None:
         self.printed.append(event.text)
