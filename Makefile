@@ -57,7 +57,7 @@ fuzz: setup-for-tests  ## strange frames, commands and calls for minutes; then e
 
 campaign: setup-for-tests  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
-	$(BIN)/fsai-vcu campaign --resume --renew
+	$(BIN)/fsai-vcu campaign --resume
 
 explanations: setup  ## logs of faults of every kind, explained from their frames; is what was wrong named?
 	$(BIN)/python -m fsai_hil.evidence.explanations

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from fsai_hil.evidence.campaign.record import digest
 from fsai_hil.evidence.missions import cases, main
+from fsai_hil.evidence.record import digest
 
 
 def run(seed: int, condition: str, result: str = "pass", **more: Any) -> dict[str, Any]:

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS, CampaignPlan
-from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside, read
-from fsai_hil.evidence.campaign.runner import batches, drive_batch, header_of, on_cluster
+from fsai_hil.evidence.campaign.runner import KIND, batches, drive_batch, header_of, on_cluster
 from fsai_hil.evidence.campaign.table import catalogue_lines, failures, markdown
+from fsai_hil.evidence.record import Record, read
 from fsai_hil.evidence.work import Progress, spread
 from fsai_hil.simulator.world import mission_named
-from fsai_vcu.cli.main import UserError, WrongUse
+from fsai_vcu.cli.main import UserError
 from fsai_vcu.interface.revisions import revision
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
@@ -39,8 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--world-seeds", type=int, metavar="N", help="different worlds that are driven in (default: 3)")
     add("--window", type=float, metavar="S", help="length of a run from a snapshot (default: 10 s)")
     add("--out", type=Path, default=Path("out/campaign"), metavar="DIR", help="default: out/campaign")
-    add("--resume", action="store_true", help="go on with the record in DIR (else it is kept there by another name)")
-    add("--renew", action="store_true", help="with --resume: begin anew where the record is of other sources")
+    add("--resume", action="store_true", help="go on with the record in DIR; another one is kept by another name")
     add("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
     add("--list", action="store_true", help="list the kinds of fault")
     add("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")
@@ -63,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _table(record: Path, output: Path | None) -> int:
-    header, runs = read(record)
+    header, runs = read(record, KIND)
     text = markdown(header, runs)
     if output is None:
         print(text)
@@ -75,23 +74,19 @@ def _table(record: Path, output: Path | None) -> int:
 
 
 def _campaign(args: argparse.Namespace) -> int:
-    if args.renew and not args.resume:
-        raise WrongUse("--renew goes with --resume: without it a campaign begins anew anyway")
     plan = _plan(args)
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
         raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
-    path, header = args.out / NAME, header_of(plan)
-    if not args.resume or (args.renew and of_other_sources(path, header)):
-        kept_as = put_aside(path)
-        if kept_as is not None:
-            why = "it is of other sources" if args.resume else "without --resume a campaign begins anew"
-            print(f"{path} is now {kept_as.name}: {why}", file=sys.stderr)
-    with Writer(path, header) as writer:
-        kept = len(writer.runs)
+    with Record(args.out / "record.jsonl", header_of(plan), resume=args.resume) as record:
+        if record.kept_as:
+            why = "it is of other sources or options" if args.resume else "without --resume a campaign begins anew"
+            print(f"{record.path} is now {record.kept_as.name}: {why}", file=sys.stderr)
+        kept = len(record.results)
         if kept:
-            print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
-        tasks = [task for task in plan.tasks() if task not in writer.done]
+            print(f"{kept} runs are in {record.path} already", file=sys.stderr)
+        done = {(run["full"], run["index"]) for run in record.results}
+        tasks = [task for task in plan.tasks() if task not in done]
         progress = Progress("runs", len(tasks))
         began_s = time.monotonic()
         worse = 0
@@ -100,24 +95,24 @@ def _campaign(args: argparse.Namespace) -> int:
             driven = on_cluster(plan, tasks, args.dask) if args.dask else spread(drive, batches(plan, tasks), jobs)
             for lines in driven:
                 for line in lines:
-                    writer.add(line)
+                    record.add(line)
                 for line in failures(lines):
                     worse += 1
                     _failure(line, worse, progress)
-                progress(len(writer.runs) - kept, f"{worse} worse than the rules allow")
+                progress(len(record.results) - kept, f"{worse} worse than the rules allow")
         except KeyboardInterrupt:
             progress.clear()
-            print(f"{len(writer.runs)} runs are kept in {writer.path}; --resume goes on", file=sys.stderr)
+            print(f"{len(record.results)} runs are kept in {record.path}; --resume goes on", file=sys.stderr)
             raise
         progress.clear()
-        new = len(writer.runs) - kept
+        new = len(record.results) - kept
         if new:
             rate = new / max(1e-9, time.monotonic() - began_s)
             print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
-        print(f"{len(writer.runs)} runs of {len(plan.kinds())} kinds, record in {writer.path}")
-        print(f"table: fsai-vcu campaign --table {writer.path}")
-        if failures(writer.runs):
-            print(f"{len(failures(writer.runs))} worse than the rules allow")
+        print(f"{len(record.results)} runs of {len(plan.kinds())} kinds, record in {record.path}")
+        print(f"table: fsai-vcu campaign --table {record.path}")
+        if failures(record.results):
+            print(f"{len(failures(record.results))} worse than the rules allow")
             return 1
         print("every run ended as the rules demand")
         return 0

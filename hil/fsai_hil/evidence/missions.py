@@ -13,13 +13,12 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.record import digest, put_aside
+from fsai_hil.evidence.record import Record, digest
 from fsai_hil.evidence.work import Progress, spread
 from fsai_hil.simulator.judge import check_track
 from fsai_hil.simulator.lockstep import CONFIDENCE_THRESHOLD, Lockstep, confident
@@ -107,17 +106,8 @@ def driven(case: Case) -> dict[str, Any]:
 # ---------------------------------------------------------------- the record and the table
 
 
-def read(path: Path) -> dict[Case, dict[str, Any]]:
-    """The runs of a record; those of other sources are put aside. A line cut short by a kill is left out."""
-    lines = path.read_text().splitlines() if path.exists() else []
-    found = []
-    for line in lines:
-        with suppress(json.JSONDecodeError):
-            found.append(json.loads(line))
-    if found and found[0] != {"missions": digest()}:
-        print(f"{path} is of other sources, and is now {put_aside(path)}", file=sys.stderr)
-        return {}
-    return {Case(run["mission"], run["track"], run["condition"], run["seed"]): run for run in found[1:]}
+def _case(run: Mapping[str, Any]) -> Case:
+    return Case(run["mission"], run["track"], run["condition"], run["seed"])
 
 
 def rows(runs: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -259,21 +249,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _drive(asked: Sequence[Case], args: argparse.Namespace, command: str) -> int:
-    record: Path = args.record
-    runs = read(record)
-    missing = [case for case in asked if Case(*case.row, case.seed) not in runs]
-    progress, failed = Progress("runs", len(missing)), 0
-    record.parent.mkdir(parents=True, exist_ok=True)
-    record.write_text("".join(json.dumps(line) + "\n" for line in ({"missions": digest()}, *runs.values())))
-    with record.open("a") as file:
+    with Record(args.record, {"missions": digest()}) as record:
+        if record.kept_as:
+            print(f"{record.path} was of other sources, and is now {record.kept_as}", file=sys.stderr)
+        runs = {_case(run): run for run in record.results}
+        missing = [case for case in asked if Case(*case.row, case.seed) not in runs]
+        progress, failed = Progress("runs", len(missing)), 0
         for number, run in enumerate(spread(driven, missing, args.jobs), 1):
-            print(json.dumps(run), file=file, flush=True)
-            case = Case(run["mission"], run["track"], run["condition"], run["seed"])
-            runs[case] = run
+            record.add(run)
+            runs[_case(run)] = run
             if run["result"] != "pass":
                 failed += 1
                 progress.clear()
-                print(f"failed: {case.name}: {'; '.join(run['reasons'][:3])}", file=sys.stderr)
+                print(f"failed: {_case(run).name}: {'; '.join(run['reasons'][:3])}", file=sys.stderr)
             progress(number, f"{failed} failed")
     progress.clear()
     shown = [runs[Case(*case.row, case.seed)] for case in asked]

@@ -1,18 +1,16 @@
-"""Work spread over processes of this machine, one line that says how it goes on, and a word for its sources."""
+"""Work spread over processes of this machine, and one line that says how it goes on."""
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import multiprocessing
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from itertools import islice
-from pathlib import Path
 from typing import Final, TypeVar
 
 AHEAD: Final = 3  # tasks waiting per worker
@@ -23,14 +21,6 @@ PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-
-def digest_of(files: Mapping[str, Path]) -> str:
-    """One short word for these files, by names that are the same wherever they are installed."""
-    found = hashlib.sha256()
-    for name, path in sorted(files.items()):
-        found.update(f"{name}\0".encode() + path.read_bytes() + b"\0")
-    return found.hexdigest()[:12]
 
 
 def _begin_worker(parent: int) -> None:

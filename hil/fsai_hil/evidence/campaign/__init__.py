@@ -4,7 +4,7 @@
   rules' own terms what must follow.
 - `cases` makes case N of seed S, from the two numbers alone.
 - `scenario` drives one case, `observation` writes down what was seen from outside, `verdict` judges it.
-- `runner` spreads cases over processes, or over a Dask cluster; `record` keeps the results, `table` shows them.
+- `runner` spreads cases over processes, or over a Dask cluster; `table` shows their results.
 - `explain` shows one run to a person.
 
 Nothing here looks into the bridge to judge it: what counts is what was on the bus and what the car really did.

@@ -13,9 +13,10 @@ from typing import Any, Final
 
 from fsai_hil.evidence import work
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Task
-from fsai_hil.evidence.campaign.record import Header, digest
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
+from fsai_hil.evidence.record import Header, digest
 
+KIND: Final = "campaign"  # of record
 BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended
 CONNECT_TIMEOUT_S: Final = 15.0  # to a cluster
 
@@ -25,6 +26,7 @@ Lines = Iterator[list[dict[str, Any]]]
 def header_of(plan: CampaignPlan) -> Header:
     kinds = plan.kinds()
     return {
+        KIND: 1,
         "seed": plan.seed,
         "faults": [kind.name for kind in kinds],
         "missions": [ami.name.lower() for ami in plan.missions],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import sys
@@ -17,7 +16,8 @@ from pathlib import Path
 from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation import trial
 from fsai_hil.evidence.mutation.mutants import Key, Mutant
-from fsai_hil.evidence.work import Progress, digest_of
+from fsai_hil.evidence.record import Record, digest_of
+from fsai_hil.evidence.work import Progress
 
 RECORD = CHECKOUT / "out" / "mutation" / "record.jsonl"
 LIST = Path("tests/evidence/survivors.toml")
@@ -98,20 +98,15 @@ def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Names
 
 def _try(baseline: trial.Baseline, chosen: list[Mutant], jobs: int, digest: str) -> list[Result]:
     """Whether each mutant survives, on disk line by line: a run of the same sources goes on where one was stopped."""
-    RECORD.parent.mkdir(parents=True, exist_ok=True)
-    lines = RECORD.read_text().splitlines(keepends=True) if RECORD.exists() else []
-    head = json.dumps({"digest": digest}) + "\n"
-    known = [line for line in lines[1:] if line.endswith("\n")] if lines[:1] == [head] else []
-    done = {tuple(key): survives for key, survives in map(json.loads, known)}
-    results = [(mutant, done[mutant.key]) for mutant in chosen if mutant.key in done]
-    if results:
-        print(f"{len(results)} were tried before and are not tried again", flush=True)
-    waiting = [mutant for mutant in chosen if mutant.key not in done]
-    progress = Progress("mutants", len(waiting))
-    with RECORD.open("w") as record:
-        record.writelines([head, *known])
+    with Record(RECORD, {"digest": digest}) as record:
+        done = {tuple(key): survives for key, survives in record.results}
+        results = [(mutant, done[mutant.key]) for mutant in chosen if mutant.key in done]
+        if results:
+            print(f"{len(results)} were tried before and are not tried again", flush=True)
+        waiting = [mutant for mutant in chosen if mutant.key not in done]
+        progress = Progress("mutants", len(waiting))
         for number, (mutant, survives) in enumerate(trial.outcomes(baseline, waiting, jobs), 1):
-            print(json.dumps([mutant.key, survives]), file=record, flush=True)
+            record.add((mutant.key, survives))
             results.append((mutant, survives))
             progress(number, f"{sum(one for _, one in results)} survive")
     progress.clear()
