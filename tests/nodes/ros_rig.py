@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -134,7 +135,7 @@ class RosRig:
 
 def driven(folder: Path, *words: str) -> str:
     """What a demo of real processes prints that drives to its end: the car, its judge, and the rules on the wire."""
-    argv = [sys.executable, "-m", "fsai_hil.rehearsal.demo", "--bus", f"loopback:{folder.name}", "--no-gps"]
+    argv = [sys.executable, "-m", "fsai_hil.rehearsal.demo", "--bus", f"loopback:{uuid.uuid4().hex}", "--no-gps"]
     words = ("--out", str(folder), "--without", "path_planner,vehicle_controller", *words)
     said = subprocess.run([*argv, *words], capture_output=True, text=True)
     assert said.returncode == 0, said.stdout + said.stderr

@@ -73,7 +73,7 @@ def test_states_and_missions_are_told_in_eufs_numbers() -> None:
 
 def test_what_was_sent_and_the_pose_are_told_in_eufs_units() -> None:
     state = VehicleState(handshake=True, sent_mission_status=2, sent_direction=1, sent_front_brake=0.25)
-    state.sent_front_torque_nm, state.sent_steering_rad = 40.0, math.radians(-9.0)
+    state.sent_rear_torque_nm, state.sent_steering_rad = 40.0, math.radians(-9.0)
     state.x, state.y, state.yaw_rad, state.speed_mps, state.yaw_rate_radps = 3.0, -2.0, math.pi / 2.0, 5.0, 0.5
     sent, pose = vehicle_commands(state), car_state(state)
     assert (sent.handshake, sent.ebs, sent.direction, sent.mission_status) == (1, 0, 1, 2)

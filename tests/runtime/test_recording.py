@@ -163,7 +163,6 @@ def test_a_recorder_of_a_silent_bus_is_stopped_without_failure(
     while not list(tmp_path.glob("run/*.log")):
         assert time.monotonic() < until_s, "waited in vain"
         time.sleep(0.05)
-    time.sleep(0.5)  # from the first file on it takes the signal for its end
     process.send_signal(signal.SIGTERM)
     said = process.communicate(timeout=WITHIN_S)[1]
     assert process.returncode == 0 and f"nothing was received on loopback:{BUS}" in said

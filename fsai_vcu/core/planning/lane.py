@@ -316,7 +316,7 @@ def _search(
         ends[:, COST] = cost = cost + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
 
         # Keep the best; of chains that end at about the same pose only the best one.
-        order = cost.argsort()[: BEST * settings.beam]
+        order = cost.argsort(kind="stable")[: BEST * settings.beam]
         cell = np.floor(ends.take(order, axis=0)[:, : HEADING + 1] * CELLS) @ CELL_NUMBER
         kept = _first_of_each(cell.tolist(), order.tolist(), settings.beam)
 

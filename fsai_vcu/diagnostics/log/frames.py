@@ -23,6 +23,7 @@ SENT: Final = 0x80  # … or sent it; where neither is set the log does not say
 
 CLASSIC_BYTES: Final = 8
 OUT_OF_ORDER_NS: Final = 20 * MS
+_NEAR: Final = 5  # frames to each side of a step back that tell whether the clock was set
 
 _COLUMNS: Final = ("t_ns", "can_id", "flags", "length", "word", "channel")
 
@@ -165,11 +166,18 @@ def joined(parts: Iterable[Frames]) -> Frames:
 def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
     """The times with every step back taken out, and by how much each is one. before_ns: of the frame before.
 
-    Small steps are no clock that was set, but frames of two receivers out of order, and neither is a step that the next
-    frame takes back: they do not move what follows.
+    Small steps are no clock that was set, but frames of two receivers out of order; nor is one where the next frames
+    are no earlier than the ones before: then a frame or two were stamped wrongly. They do not move what follows.
     """
-    back_ns = -np.diff(t_ns, prepend=t_ns[0] if before_ns is None else before_ns)
-    stays = np.diff(t_ns, append=t_ns[-1]) < back_ns
-    back_ns = np.where(stays & (back_ns > OUT_OF_ORDER_NS), back_ns, 0)
-    moved_ns = t_ns + np.cumsum(back_ns)
-    return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), back_ns
+    known_ns = np.concatenate(([t_ns[0] if before_ns is None else before_ns], t_ns))
+    back_ns = -np.diff(known_ns)
+    at = np.flatnonzero(back_ns > OUT_OF_ORDER_NS)[:, None]
+    near = np.arange(_NEAR)
+    before, after = (
+        np.sort(known_ns[np.clip(rows, 0, len(t_ns))])[:, _NEAR // 2] for rows in (at - near, at + 1 + near)
+    )
+    set_back = at[after < before]
+    steps_ns = np.zeros_like(back_ns)
+    steps_ns[set_back] = back_ns[set_back]
+    moved_ns = t_ns + np.cumsum(steps_ns)
+    return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), steps_ns

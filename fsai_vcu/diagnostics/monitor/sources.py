@@ -102,8 +102,10 @@ def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
 
 
 class Log:
-    """A log at `position_ns`, read as far as was looked. Before each chunk of it the view is kept: any moment takes one
-    chunk and no more."""
+    """A log at `position_ns`, read as far as was looked, and to its end where `findings` judge it.
+
+    Before each chunk of it the view is kept: any moment takes one chunk and no more.
+    """
 
     def __init__(
         self, chunks: Iterator[Frames], view: View, at_s: float | None, rate: float | None, *, keep: bool = True

@@ -92,6 +92,7 @@ def _facts(track: Track) -> Iterator[str]:
 
 
 def _draw(track: Track, path: Path) -> None:
+    path.parent.stat()  # before seconds go into matplotlib: it fails where there is no such folder
     try:
         import matplotlib
 

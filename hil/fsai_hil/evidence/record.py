@@ -84,16 +84,19 @@ class Record(AbstractContextManager["Record"]):
         self._file = path.open("a")
         try:
             self._lock()
-            if self._file.tell():
+            whole_bytes = path.read_bytes().rfind(b"\n") + 1
+            if whole_bytes:
                 before, results = read(path, next(iter(header)))
                 if resume and before == header:
                     self.results = results
-                    self._file.truncate(path.read_bytes().rfind(b"\n") + 1)
+                    self._file.truncate(whole_bytes)
                     return
                 self.kept_as = _put_aside(path)
                 self._file.close()
                 self._file = path.open("a")
                 self._lock()
+            else:
+                self._file.truncate(0)
         except BaseException:
             self._file.close()
             raise

@@ -116,7 +116,7 @@ def vehicle_commands(state: VehicleState) -> VehicleCommands:
         direction=state.sent_direction,
         mission_status=state.sent_mission_status,
         braking=100.0 * state.sent_front_brake,
-        torque=state.sent_front_torque_nm,
+        torque=max(state.sent_front_torque_nm, state.sent_rear_torque_nm),  # a car of 2026 is driven by one of them
         steering=math.degrees(state.sent_steering_rad),
         rpm=math.nan,
     )
