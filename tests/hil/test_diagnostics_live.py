@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +15,11 @@ from conftest import FRAMES, VERB, ip, listening
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.bus import CanBus
+from fsai_vcu.runtime.bus import CanBus, open_bus
 
 WITHIN_S = 20.0
+FLOOD = 40_000  # frames: twice what the kernel keeps
+LOST = re.compile(r"(\d+) frames lost in this machine's receive buffer")
 _STAMP = re.compile(r"\(\d+\.\d+\)")
 
 
@@ -105,6 +108,38 @@ def test_stats_of_a_live_bus_are_those_of_its_log(
         tuple(e[k] for k in kept) for e in logged if e["type"] == "message"
     ]
     assert len([e for e in ours if e["type"] == "message"]) == len(FRAMES)
+
+
+def test_frames_that_find_no_room_are_counted_by_all(other: str, tmp_path: Path) -> None:
+    """Those who listen stand still while more comes than the kernel keeps for them."""
+    log = tmp_path / "run.log"
+    listeners = {
+        "dump": [other, "--no-signals"],
+        "check": [other],
+        "monitor": [other, "--json"],
+        "record": ["-i", other, "-o", str(log)],
+    }
+    running = {
+        verb: listening(other, [*VERB, verb, *words], tmp_path / f"{verb}.txt", tmp_path / f"{verb}.errors")
+        for verb, words in listeners.items()
+    }
+    for process in running.values():
+        process.signal(signal.SIGSTOP)
+    with open_bus(other) as bus:
+        for number in range(FLOOD):
+            assert bus.send(Frame(0x520, number.to_bytes(8, "little")))
+    for process in running.values():
+        process.signal(signal.SIGCONT)
+    await_condition(lambda: log.exists() and log.stat().st_size > 0, WITHIN_S, "the recorder goes on")
+    await_condition(lambda: LOST.search(running["monitor"].log()), WITHIN_S, "the monitor says what is lost")
+    lost = {}
+    for verb, process in running.items():
+        assert process.stop() == 1
+        (lost[verb],) = (int(found) for found in LOST.findall((tmp_path / f"{verb}.errors").read_text())[-1:])
+    assert lost["dump"] + running["dump"].log().count("\n") == FLOOD
+    assert lost["record"] + log.read_text().count("\n") == FLOOD
+    assert json.loads(log.with_suffix(".json").read_text())["lost_in_receive_buffer"] == lost["record"]
+    assert f"unknown: {lost['check']} frames lost" in running["check"].log()
 
 
 @pytest.mark.parametrize("words", ["dump", "monitor --plain --every 0.1"])

@@ -135,6 +135,18 @@ def test_a_missing_interface_is_a_bus_loss_a_full_queue_is_not(
             assert bus.send(Frame(0x510, bytes(8))) is False
 
 
+def test_frames_for_which_the_kernel_had_no_room_are_counted() -> None:
+    with open_bus("loopback:room") as sender, open_bus("loopback:room") as bus:
+        with socket.socket(fileno=os.dup(bus.fileno())) as same:
+            same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+        assert bus.dropped() == 0
+        for _ in range(100):
+            sender.send(Frame(0x520, bytes(8)))
+        received = bus.drain()
+        assert received and bus.dropped() == 100 - len(received) > 0
+    assert bus.dropped() == 0, "a closed socket is no error"
+
+
 @pytest.fixture
 def kernel_pair(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[CanBus, socket.socket]]:
     """`can0` as SocketCAN opens it, on a socket of another family that the kernel stamps as well, and its far end."""
