@@ -278,6 +278,8 @@ class Sources:
 
         `received` gets again and again how many frames there are.
         """
+        if seconds is not None and not self.live:
+            raise WrongUse("--seconds is for live buses; --from and --to choose a part of a log")
         parts: list[Frames] = []
         count = 0
         try:
@@ -292,6 +294,11 @@ class Sources:
             self._say(f"nothing was received on {self.name}")
             self.status = 1
         return joined(parts)
+
+    def check_output(self, path: Path) -> None:
+        """Raises WrongUse where a log would be written over with what is made of it."""
+        if path.is_file() and any(Path(name).is_file() and path.samefile(name) for name, _ in self._rules):
+            raise WrongUse(f"{path} is the log that is read: it would be written over")
 
     def learn(self) -> None:
         """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""

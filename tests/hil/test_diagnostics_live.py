@@ -86,6 +86,37 @@ def test_dump_shows_signals_beside_each_frame_and_in_json(
     objects.stop()
 
 
+@pytest.mark.parametrize(
+    ("options", "shown"),
+    [
+        ("--signals AS_STATE -t z", {"520": "AS_STATE: AS_DRIVING"}),
+        ("--messages AI2VCU_Brake,0x123", {"514": "HYD_PRESS", "00000123": "Unknown frame id"}),
+        ("--from 0 --to 30 --changes --short --messages 0x520", {"520": "AS_DRIVING"}),
+    ],
+)
+def test_dump_of_a_live_bus_shows_what_is_chosen(
+    interface: str, listen: Callable[..., CanBus], tmp_path: Path, options: str, shown: dict[str, str]
+) -> None:
+    dump = listening(interface, [*VERB, "dump", interface, *options.split()], tmp_path / "dump.txt")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    found = lines_of(dump, len(shown))
+    assert dump.stop() == 0
+    assert len(found) == len(shown)
+    for line, (can_id, words) in zip(found, shown.items(), strict=True):
+        assert f" {can_id} " in line and words in line
+
+
+def test_a_live_check_ends_after_its_time_with_a_verdict(
+    interface: str, listen: Callable[..., CanBus], tmp_path: Path
+) -> None:
+    check = listening(interface, [*VERB, "check", interface, "--seconds", "2"], tmp_path / "check.txt")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    assert check.wait(WITHIN_S) == 1, "too little is known"
+    assert f"{interface}: {len(FRAMES)} frames" in check.log() and check.log().count("verdict: ") == 1
+
+
 def test_stats_of_a_live_bus_are_those_of_its_log(
     interface: str,
     listen: Callable[..., CanBus],
