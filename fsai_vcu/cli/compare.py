@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from typing import Final
@@ -42,6 +43,9 @@ def run(args: argparse.Namespace) -> int:
         if record is None:
             return 1
         status |= sources.status
+        if (record.decoder.which(record.frames) < 0).all():
+            print(f"fsai-vcu compare: the databases name no frame of {name}: no values are compared", file=sys.stderr)
+            status = 1
         records.append(record)
         buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
         incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in explained(record).incidents])

@@ -66,10 +66,13 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("export", args.logs, decoding, part_of(args, decoding))
     if sources.live:
         raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
+    sources.check_output(args.output)
     progress = Progress()
     frames = sources.everything(received=progress.reading)
     if not len(frames):
         return sources.status or 1
+    if (decoding.decoder.which(frames) < 0).all():
+        raise UserError(f"nothing to export: the databases name none of the {len(frames)} frames")
     try:
         written = export(
             frames, decoding.decoder, args.to, args.output, step_ns=step_ns, words=args.words, progress=progress.writing

@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from functools import cache
 from itertools import chain, islice
 from pathlib import Path
@@ -72,8 +73,11 @@ def run(args: argparse.Namespace) -> int:
     drawn = textual and terminal
     every_s = args.every if args.every is not None else _DRAW_EVERY_S if drawn else _PRINT_EVERY_S
     if sources.live:
-        source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
-        return _show(source, every_s, patterns, args, drawn=drawn) | sources.status
+        with closing(chunks):  # what was not received is told when it is over, however that came
+            first = list(islice(chunks, 1))  # the bus is opened here, not in the thread
+            source = Live(chain(first, chunks), view, lambda: sources.lost_here)
+            status = _show(source, every_s, patterns, args, drawn=drawn)
+        return status | sources.status
     ahead = sources.files or still  # what is played while it is piped in may be without end: it is not kept
     read: list[Frames] = []
     log = Log(

@@ -58,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
     source: Source
     if sources.live:
-        source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
+        first = list(islice(chunks, 1))  # the bus is opened here, not in the thread
+        source = Live(chain(first, chunks), view, lambda: sources.lost_here)
     else:
         source = Log(chunks, view, None, args.rate or 1.0, keep=args.loop)
         if source.empty:

@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("plot", [args.source], part=part_of(args, decoding))
     if sources.live:
         raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
+    sources.check_output(args.output)
     record = record_in(args, sources, decoding)
     if record is None:
         return 1

@@ -23,7 +23,7 @@ from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.export.writing import check_format
 from fsai_vcu.diagnostics.log.live import Listener
 from fsai_vcu.diagnostics.recorder.recording import Recording
-from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
+from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_words
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.configuration import usual_environment
@@ -113,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
 def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, ending: list[int]) -> None:
     """Until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
+    told = 0  # of the frames that were lost
     while not ending and time.monotonic_ns() < until_ns:
         time.sleep(_LOOK_S)
         now_ns = time.monotonic_ns()
@@ -122,11 +123,15 @@ def _record(listener: Listener, topics: Any | None, recording: Recording, until_
             turn_ns = now_ns
             _take(listener, topics, recording)
             recording.turn(now_ns)
+            if listener.dropped > 2 * told:  # not a line each time while it goes on
+                told = listener.dropped
+                _say(lost_words(told))
 
 
 def _take(listener: Listener, topics: Any | None, recording: Recording) -> None:
     """What was received since."""
     recording.take(listener.fetch())
+    recording.dropped = listener.dropped
     if topics is not None:
         recording.take_messages(topics.fetch())
 
@@ -160,13 +165,15 @@ def _result(args: argparse.Namespace, listener: Listener, recording: Recording, 
     print(f"{recording.taken} frames{ros} in {where}", file=sys.stderr)
     if lost:
         _say(f"{lost} frames were received and are not on the disk")
+    if listener.dropped:
+        _say(lost_words(listener.dropped))
     silent = not (recording.taken or recording.messages or lost)
     if silent:
         _say(f"nothing was received on {args.interface}")
         if not segment:  # an empty log would only keep the next recording from its name, and the rest is about it
             for suffix in (args.output.suffix, ".json", ".mcap"):
                 args.output.with_suffix(suffix).unlink(missing_ok=True)
-    return 1 if lost or recording.in_trouble or (silent and not stopped) else 0
+    return 1 if lost or listener.dropped or recording.in_trouble or (silent and not stopped) else 0
 
 
 def _say(text: str) -> None:

@@ -29,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     check_seconds(args)
     decoding = Decoding("report", args)
     sources = Sources("report", args.sources, part=part_of(args, decoding))
+    sources.check_output(args.output)
     frames = sources.everything(args.seconds)
     if not len(frames):
         return 1

@@ -8,7 +8,7 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.gvret import HEAD
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import LogError, Problems, open_log
+from fsai_vcu.diagnostics.recorder.segments import lost_while_recorded, lost_words
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -98,7 +99,7 @@ def judged(
 
     record = Record(frames, args.revision, decoding.databases if args.dbc else None)
     buses = measure(frames, record.decoder, revision=record.revision.name)
-    return record, buses, judge_log(record, buses).unread(sources.status)
+    return record, buses, judge_log(record, buses).unread(sources.status, sources.lost_here)
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
@@ -256,19 +257,29 @@ class Sources:
         self.live = kinds == {False}
         self.files = all(Path(name).is_file() for name, _ in self._rules)
         self.first_ns: int | None = None  # of the whole log, whatever the part
+        self._lost: Callable[[], int] = lambda: 0  # frames for which this machine had no room
 
-    def chunks(self, seconds: float | None = None, *, announced: bool = False, waits: bool = False) -> Iterator[Frames]:
+    def chunks(
+        self, seconds: float | None = None, *, announced: bool = False, waits: bool = False
+    ) -> Generator[Frames, None, None]:
         """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock.
 
         announced: a person who would see nothing for long sees that this is listening. waits: for a bus that goes away.
         """
         yield from self._live_chunks(seconds, announced, waits) if self.live else self._log_chunks()
 
+    @property
+    def lost_here(self) -> str:
+        """A sentence on the frames that this machine received too late, now or while the logs were recorded; or ''."""
+        return lost_words(self._lost())
+
     def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
         """All frames of all logs; of live buses, those of so long or until Ctrl-C.
 
         `received` gets again and again how many frames there are.
         """
+        if seconds is not None and not self.live:
+            raise WrongUse("--seconds is for live buses; --from and --to choose a part of a log")
         parts: list[Frames] = []
         count = 0
         try:
@@ -283,6 +294,11 @@ class Sources:
             self._say(f"nothing was received on {self.name}")
             self.status = 1
         return joined(parts)
+
+    def check_output(self, path: Path) -> None:
+        """Raises WrongUse where a log would be written over with what is made of it."""
+        if path.is_file() and any(Path(name).is_file() and path.samefile(name) for name, _ in self._rules):
+            raise WrongUse(f"{path} is the log that is read: it would be written over")
 
     def learn(self) -> None:
         """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
@@ -306,6 +322,8 @@ class Sources:
                     inside += len(passing)
                     yield passing
             self._report(log.name, count, log.problems)
+        recorded = sum(lost_while_recorded(Path(name)) for name, _ in self._rules if name != "-")
+        self._lost = lambda: recorded
         if self._part and self.first_ns is not None and not inside:
             raise UserError(f"no frame of {self.name} is in that part")
 
@@ -337,6 +355,7 @@ class Sources:
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
         source = LiveSource([name for name, _ in self._rules], waits=waits)
+        self._lost = lambda: source.dropped
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with closing(source):
             if announced and seconds is None:
@@ -349,7 +368,7 @@ class Sources:
                         self._decoding.hear(frames)
                     yield self._chosen(filtered(frames, rules))
             finally:
-                for text in source.missing():
+                for text in filter(None, [*source.missing(), self.lost_here]):
                     self._say(text)
                     self.status = 1
 

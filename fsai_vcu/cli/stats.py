@@ -49,7 +49,7 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
         return 1
     record = Record(frames, decoding.revision, decoding.databases if args.dbc else None)
     judged = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
-    verdict = judged.unread(sources.status)
+    verdict = judged.unread(sources.status, sources.lost_here)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     write_out("".join(f"{line}\n" for line in lines).encode())
     return verdict.status

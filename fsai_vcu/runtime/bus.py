@@ -17,12 +17,11 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-import can
-
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import RESERVED_IDS
 from fsai_vcu.runtime.clocks import StampConverter
+from fsai_vcu.runtime.lean_can import can
 
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN, None}
 _SEND_BUFFER_BYTES = 4096  # doubled by the kernel: about ten frames of 768 bytes
@@ -30,6 +29,8 @@ _MOST_WAITING = 1000  # frames: more than a socket keeps
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h: struct can_frame
 _TIMESPEC = struct.Struct("@ll")
 _STAMP_SPACE_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
+_SO_MEMINFO = 55  # asm-generic/socket.h
+_MEMINFO = struct.Struct("9I")  # linux/sock_diag.h: the last one is SK_MEMINFO_DROPS
 _ECHOES_OWN = frozenset({"udp_multicast"})  # python-can interfaces on which a sender receives its own frames
 _STAMPED_BY_WALL_CLOCK = frozenset({"fsai_loopback", "virtual"})  # besides SocketCAN, whose kernel does it
 _ERROR_BUS_OFF = 0x040  # linux/can/error.h: CAN_ERR_BUSOFF, a bit of an error frame's id
@@ -180,6 +181,19 @@ class CanBus:
             return self._bus.fileno()
         except NotImplementedError:
             return -1
+
+    def dropped(self) -> int:
+        """Frames so far that found this socket's receive buffer full and are lost; 0 where no kernel counts them.
+
+        The kernel is asked only here: receiving costs nothing more.
+        """
+        with contextlib.suppress(OSError, ValueError):
+            ours = socket.socket(fileno=self.fileno())
+            try:
+                return int(_MEMINFO.unpack(ours.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[-1])
+            finally:
+                ours.detach()
+        return 0
 
     def close(self) -> None:
         with contextlib.suppress(can.CanError, OSError):

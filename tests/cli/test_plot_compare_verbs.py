@@ -54,6 +54,13 @@ def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.Captu
     ]
 
 
+def test_values_that_no_database_names_are_not_called_equal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second, foreign = log(tmp_path / "a.log"), log(tmp_path / "b.log"), tmp_path / "foreign.dbc"
+    foreign.write_text('VERSION ""\n\nBU_: A\n\nBO_ 291 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "rpm" A\n')
+    assert main(["compare", str(first), str(second), "--dbc", str(foreign)]) == 1
+    assert f"the databases name no frame of {first}: no values are compared" in capsys.readouterr().err
+
+
 def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = log(tmp_path / "a.log"), log(tmp_path / "b.log", angle=80)
     with second.open("a") as file:

@@ -10,6 +10,7 @@ import pytest
 from fsai_vcu.cli.main import main
 
 GOOD = "(1.000000) can0 523#640064006400\n(1.010000) can0 510#0000000000000000\n"
+FOREIGN = b'VERSION ""\n\nBU_: A\n\nBO_ 291 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "rpm" A\n'
 BUS = "loopback:wrong-use"
 USES = [
     # ---------------------------------------------------------------- what no verb or no file is
@@ -26,6 +27,24 @@ USES = [
         (f"{verb} {BUS} --seconds 0", 2, "--seconds is 0, not a time")
         for verb in ("explain", "report -o x.html", "stats")
     ),
+    *(
+        (f"{verb} run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1")
+        for verb in ("check", "explain", "dump", "decode", "report -o x.html", "compare run.log")
+    ),
+    *(
+        (f"{verb} run.log --seconds 3", 2, "--seconds is for live buses; --from and --to choose a part of a log")
+        for verb in ("check", "stats", "explain", "report -o x.html")
+    ),
+    *(
+        (f"{verb} -o run.log", 2, "run.log is the log that is read: it would be written over")
+        for verb in (
+            "export run.log --to mf4",
+            "export folder/../run.log --to mcap",
+            "report run.log",
+            "plot run.log ANGLE",
+        )
+    ),
+    ("export run.log --to csv -o tables --dbc foreign.dbc", 1, "nothing to export: the databases name none of the 2"),
     ("stats run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
     ("decode folder", 1, "folder: no log in this folder"),
     # ---------------------------------------------------------------- databases and dumps
@@ -76,7 +95,7 @@ USES = [
             ("run.log --rate 0", 2, "--rate is 0, not a rate"),
             ("run.log --rate nan", 2, "--rate is nan, not a rate"),
             ("run.log --loop -1", 2, "--loop is -1, but must be 0 or more"),
-            ("run.log --from 2 --to 1", 1, "run.log is in that part"),
+            ("run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1"),
             ("run.log --from=-3", 2, "--from is -3: neither seconds from 0 on"),
             ("run.log --from soon", 2, "--from is soon: neither seconds from 0 on nor a time such"),
             ("run.log,510:7FF", 1, "nothing is left to send"),
@@ -141,7 +160,8 @@ def test_wrong_use_is_one_clear_line_and_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("folder").mkdir()
-    for name, data in (("run.log", GOOD.encode()), ("empty.log", b""), ("garbage.log", b"\xff\xfe\x00\n")):
+    files = {"run.log": GOOD.encode(), "empty.log": b"", "garbage.log": b"\xff\xfe\x00\n", "foreign.dbc": FOREIGN}
+    for name, data in files.items():
         Path(name).write_bytes(data)
     try:
         assert main(shlex.split(use)) == status
@@ -150,5 +170,5 @@ def test_wrong_use_is_one_clear_line_and_writes_nothing(
     said = capsys.readouterr()
     (line,) = (line for line in said.err.splitlines() if "left out" not in line)
     assert words in line
-    assert Path("run.log").read_text() == GOOD and len(list(tmp_path.iterdir())) == 4
+    assert Path("run.log").read_text() == GOOD and len(list(tmp_path.iterdir())) == 1 + len(files)
     assert said.out == "" or use.startswith(("track small_oval", "dbc show 0x513"))

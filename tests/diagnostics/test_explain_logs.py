@@ -16,9 +16,10 @@ from fsai_hil.simulator.faults import Drop, WrongValues
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
-from fsai_vcu.diagnostics.explain import IncidentKind
+from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.incident import Sureness
+from fsai_vcu.diagnostics.explain.render import verdict
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames
 from fsai_vcu.interface.codec import Codec
@@ -201,6 +202,12 @@ def test_a_lost_link_without_logged_ai_frames_blames_no_message() -> None:
     first = next(i for i in story.incidents if i.kind is IncidentKind.EMERGENCY).candidates[0]
     assert first.slug == "ai_comms_lost"
     assert "only one direction" in first.steps[0].words
+
+
+def test_where_the_state_is_unknown_no_brake_is_denied(stopped: Frames) -> None:
+    without, whole = (explained(Record(frames)) for frames in (stopped.only(stopped.can_id != 0x520), stopped))
+    assert verdict(without) == "without the AS state nobody can tell whether it braked or did not start"
+    assert "emergency brake" in verdict(whole)
 
 
 def test_a_log_of_the_ai_direction_alone_says_what_it_lacks(stopped: Frames) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import asammdf
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -312,7 +313,6 @@ def test_several_buses_have_tables_of_their_own(tmp_path: Path, decoder: Decoder
 def test_mf4_has_a_group_per_message(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
-    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'fsai-vcu[mf4]'")
     path = tmp_path / "run.mf4"
     export(frames, decoder, "mf4", path)
     with asammdf.MDF(path) as mdf:

@@ -159,6 +159,9 @@ def test_a_bus_that_goes_away_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> 
                 raise BusLost("can0 is gone")
             return self.frames.pop() if self.frames else None
 
+        def dropped(self) -> int:
+            return 0
+
         def close(self) -> None: ...
 
     buses = iter([Bus(1, lost=True), Bus(2, lost=False)])

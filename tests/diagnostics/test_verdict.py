@@ -107,6 +107,27 @@ def test_two_bridges_at_once_are_one_finding(drive: Frames) -> None:
     assert not [finding for finding in verdict.findings if finding.kind == "period"]
 
 
+@pytest.mark.parametrize(("period_ms", "rate"), [(10, "200"), (20, "150"), (50, "120"), (100, "110")])
+def test_one_who_repeats_our_own_frames_is_told_by_rate(drive: Frames, period_ms: int, rate: str) -> None:
+    begin_ns = int(drive.t_ns[0]) + 2 * S
+    then = (drive.t_ns >= begin_ns) & (drive.t_ns < begin_ns + 3 * S)
+    spoilt = drive
+    for can_id in range(0x510, 0x515):
+        copied = drive.only(np.flatnonzero(then & (drive.can_id == can_id))[:: period_ms // 10])
+        spoilt = in_order(spoilt, replace(copied, t_ns=copied.t_ns + 3 * MS))
+    (found,) = [finding for finding in judged(spoilt).findings if finding.kind == "intruder"]
+    assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514) and f": {rate} frames a second" in found.text
+    assert found.t_ns is not None and abs(found.t_ns - begin_ns) < 0.5 * S
+
+
+def test_one_who_repeats_our_frames_all_along_is_a_wrong_rate(drive: Frames) -> None:
+    ours = np.flatnonzero(drive.can_id == 0x514)[::5]
+    again = drive.only(ours)
+    findings = judged(in_order(drive, replace(again, t_ns=again.t_ns + 3 * MS))).findings
+    (found,) = [finding for finding in findings if finding.severity == "problem"]
+    assert "120 times a second, but should 100 times: a wrong period, or a second sender" in found.text
+
+
 @pytest.mark.parametrize(("can_id", "data"), [(0x510, "0500"), (0x511, "f401"), (0x513, "9cff"), (0x514, "6464")])
 def test_one_frame_that_contradicts_its_neighbours_is_told(drive: Frames, can_id: int, data: str) -> None:
     row = int(np.flatnonzero(drive.can_id == can_id)[-50])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +15,11 @@ from conftest import FRAMES, VERB, ip, listening
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.bus import CanBus
+from fsai_vcu.runtime.bus import CanBus, open_bus
 
 WITHIN_S = 20.0
+FLOOD = 40_000  # frames: twice what the kernel keeps
+LOST = re.compile(r"(\d+) frames lost in this machine's receive buffer")
 _STAMP = re.compile(r"\(\d+\.\d+\)")
 
 
@@ -83,6 +86,37 @@ def test_dump_shows_signals_beside_each_frame_and_in_json(
     objects.stop()
 
 
+@pytest.mark.parametrize(
+    ("options", "shown"),
+    [
+        ("--signals AS_STATE -t z", {"520": "AS_STATE: AS_DRIVING"}),
+        ("--messages AI2VCU_Brake,0x123", {"514": "HYD_PRESS", "00000123": "Unknown frame id"}),
+        ("--from 0 --to 30 --changes --short --messages 0x520", {"520": "AS_DRIVING"}),
+    ],
+)
+def test_dump_of_a_live_bus_shows_what_is_chosen(
+    interface: str, listen: Callable[..., CanBus], tmp_path: Path, options: str, shown: dict[str, str]
+) -> None:
+    dump = listening(interface, [*VERB, "dump", interface, *options.split()], tmp_path / "dump.txt")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    found = lines_of(dump, len(shown))
+    assert dump.stop() == 0
+    assert len(found) == len(shown)
+    for line, (can_id, words) in zip(found, shown.items(), strict=True):
+        assert f" {can_id} " in line and words in line
+
+
+def test_a_live_check_ends_after_its_time_with_a_verdict(
+    interface: str, listen: Callable[..., CanBus], tmp_path: Path
+) -> None:
+    check = listening(interface, [*VERB, "check", interface, "--seconds", "2"], tmp_path / "check.txt")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    assert check.wait(WITHIN_S) == 1, "too little is known"
+    assert f"{interface}: {len(FRAMES)} frames" in check.log() and check.log().count("verdict: ") == 1
+
+
 def test_stats_of_a_live_bus_are_those_of_its_log(
     interface: str,
     listen: Callable[..., CanBus],
@@ -105,6 +139,41 @@ def test_stats_of_a_live_bus_are_those_of_its_log(
         tuple(e[k] for k in kept) for e in logged if e["type"] == "message"
     ]
     assert len([e for e in ours if e["type"] == "message"]) == len(FRAMES)
+
+
+def test_frames_that_find_no_room_are_counted_by_all(other: str, tmp_path: Path) -> None:
+    """Those who listen stand still while more comes than the kernel keeps for them."""
+    log = tmp_path / "run.log"
+    listeners = {
+        "dump": [other, "--no-signals"],
+        "check": [other],
+        "monitor": [other, "--json"],
+        "record": ["-i", other, "-o", str(log)],
+    }
+    running = {
+        verb: listening(other, [*VERB, verb, *words], tmp_path / f"{verb}.txt", tmp_path / f"{verb}.errors")
+        for verb, words in listeners.items()
+    }
+    for process in running.values():
+        process.signal(signal.SIGSTOP)
+    with open_bus(other) as bus:
+        for number in range(FLOOD):
+            assert bus.send(Frame(0x520, number.to_bytes(8, "little")))
+        for process in running.values():
+            process.signal(signal.SIGCONT)
+        await_condition(lambda: LOST.search(running["monitor"].log()), WITHIN_S, "the monitor says what is lost")
+        shown = running["dump"].log, lambda: log.read_text() if log.exists() else ""
+        await_condition(lambda: all(text() for text in shown), WITHIN_S, "there is room again")
+        assert bus.send(Frame(0x7FF))
+        await_condition(lambda: all("7FF" in text() for text in shown), WITHIN_S, "all that was kept is shown")
+    lost = {}
+    for verb, process in running.items():
+        assert process.stop() == 1
+        (lost[verb],) = (int(found) for found in LOST.findall((tmp_path / f"{verb}.errors").read_text())[-1:])
+    for verb, text in zip(("dump", "record"), shown, strict=True):
+        assert lost[verb] + text().count("\n") == FLOOD + 1
+    assert json.loads(log.with_suffix(".json").read_text())["lost_in_receive_buffer"] == lost["record"]
+    assert f"unknown: {lost['check']} frames lost" in running["check"].log()
 
 
 @pytest.mark.parametrize("words", ["dump", "monitor --plain --every 0.1"])

@@ -24,7 +24,7 @@ def test_quick_prints_a_table_and_writes_every_figure(
     node = [NODE_START] if find_spec("rclpy") and find_spec("fsai_msgs") else []
     logs = [f"{name} random, wall" for name in ("decode", "values", "parquet", "mcap", "check", "stats")]
     starts = ["decode a frame", "encode a frame", "answer a 0x520", "start to a first frame", *node]
-    assert list(by_name) == [*starts, *logs, "drive acceleration"]
+    assert list(by_name) == [*starts, *logs, "mf4, wall", "drive acceleration"]
     for each in by_name.values():
         for figure in (each["ours"], each["peer"], each["ratio"]):
             assert 0 < figure["least"] <= figure["median"] <= figure["most"]

@@ -6,10 +6,13 @@ import errno
 import itertools
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 
 import can
 import pytest
@@ -53,6 +56,12 @@ def test_no_bus_is_opened_that_would_let_a_reserved_id_out(
     for can_id in RESERVED_IDS:
         with pytest.raises(ValueError, match="reserved for the car"):
             open_bus("loopback:reserved", may_send=[*can_ids, can_id])
+
+
+def test_opening_a_bus_does_not_take_pandas_along() -> None:
+    assert find_spec("asammdf"), "without it python-can takes nothing along"
+    code = "import sys, fsai_vcu.runtime.bus; sys.exit('asammdf' in sys.modules or 'pandas' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 class SilentBus(can.BusABC):
@@ -124,6 +133,18 @@ def test_a_missing_interface_is_a_bus_loss_a_full_queue_is_not(
                 bus.send(Frame(0x510, bytes(8)))
         else:
             assert bus.send(Frame(0x510, bytes(8))) is False
+
+
+def test_frames_for_which_the_kernel_had_no_room_are_counted() -> None:
+    with open_bus("loopback:room") as sender, open_bus("loopback:room") as bus:
+        with socket.socket(fileno=os.dup(bus.fileno())) as same:
+            same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+        assert bus.dropped() == 0
+        for _ in range(100):
+            sender.send(Frame(0x520, bytes(8)))
+        received = bus.drain()
+        assert received and bus.dropped() == 100 - len(received) > 0
+    assert bus.dropped() == 0, "a closed socket is no error"
 
 
 @pytest.fixture

@@ -57,6 +57,7 @@ def explained(record: Record) -> Explanation:
         incidents=tuple(_grouped(sorted(incidents, key=lambda incident: incident.t_ns), record.begin_ns)),
         closing=_closing(record),
         problems=(*_missing(record), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
+        state_known=len(record.series(AS_STATE)) > 0,
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
 

@@ -142,6 +142,7 @@ class Explanation:
     closing: str
     problems: tuple[str, ...] = field(default=())
     recorded: frozenset[int] = frozenset()  # identifiers in the log
+    state_known: bool = True  # whether the log has the AS state, without which nothing is found
 
     @cached_property
     def events(self) -> tuple[TimelineEntry, ...]:

@@ -33,7 +33,7 @@ class Listener:
     """One bus: `fetch` what was received, and `news` for the operator, in order. It never sends.
 
     `lost`: why the bus is gone; with `waits` it is reported, and opened again when it comes back. `overrun`: frames
-    thrown away because they were not fetched for too long.
+    thrown away because they were not fetched for too long. `dropped`: those that the kernel had no room for.
     """
 
     def __init__(self, spec: str, *, waits: bool) -> None:
@@ -45,6 +45,7 @@ class Listener:
         self._thread = threading.Thread(target=self._run, name="listener", daemon=True)
         self._spec = spec
         self._bus: CanBus | None = _open(spec)
+        self._dropped = 0  # of buses that are closed
         self._received: deque[Received] = deque()
         self._news: deque[str] = deque()
         self._ending = threading.Event()
@@ -55,6 +56,10 @@ class Listener:
 
     def news(self) -> list[str]:
         return [self._news.popleft() for _ in range(len(self._news))]
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped + (self._bus.dropped() if self._bus is not None else 0)
 
     def start(self) -> None:
         self._thread.start()
@@ -69,8 +74,7 @@ class Listener:
                 received = self._bus.recv_stamped(_WAIT_S, bus_off_is_lost=False)
             except BusLost as error:
                 lost_s = time.monotonic()
-                self._bus.close()
-                self._bus = None
+                self._leave()
                 self.lost = str(error)
                 if not self._waits:
                     return
@@ -94,8 +98,15 @@ class Listener:
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
-        if self._bus is not None:
-            self._bus.close()
+        self._leave()
+
+    def _leave(self) -> None:
+        bus = self._bus
+        if bus is not None:
+            dropped = bus.dropped()
+            self._bus = None
+            self._dropped += dropped
+            bus.close()
 
 
 class LiveSource:
@@ -144,6 +155,11 @@ class LiveSource:
             yield self.lost
         if overrun := sum(listener.overrun for listener in self._listeners):
             yield f"{overrun} frames were lost: whoever reads the output is too slow for the bus"
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the kernel had no room for, on all buses."""
+        return sum(listener.dropped for listener in self._listeners)
 
     def _fetched(self) -> Frames:
         received = [log_frame(each, listener.name) for listener in self._listeners for each in listener.fetch()]

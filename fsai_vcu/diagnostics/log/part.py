@@ -29,6 +29,9 @@ class Part:
                     raise ValueError(text)
             except ValueError:
                 raise ValueError(f"{name} is {text}: neither seconds from 0 on nor a time such as 14:03:30") from None
+        begin_s, end_s = (None if each is None or ":" in each else float(each) for each in (begin, end))
+        if begin_s is not None and end_s is not None and begin_s > end_s:
+            raise ValueError(f"--from is {begin}, behind the end of the part at {end}")
         self._begin, self._end, self._ids = begin, end, ids
         self._bounds: tuple[float, float] | None = None
 

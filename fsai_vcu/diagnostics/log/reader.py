@@ -177,6 +177,8 @@ class Log:
             self.problems.add(f"{self.name}: not readable as {self.kind} after frame {read}: {_why(error)}")
 
     def _reader(self) -> Iterator[can.Message]:
+        import fsai_vcu.runtime.lean_can  # noqa: F401  before any other part of python-can
+
         if self.kind == "BLF":
             from can.io.blf import BLFReader
 
@@ -201,7 +203,7 @@ class Log:
     def _mf4_chunks(self) -> Iterator[Frames]:
         """Through asammdf alone: python-can's reader works on each frame."""
         try:
-            import asammdf  # type: ignore[import-not-found]
+            import asammdf
         except ImportError:
             self.problems.add(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'")
             return

@@ -37,8 +37,10 @@ class Live:
     """A bus as it is now: a thread takes its frames. Ages are those of the monotonic clock: a step of the wall clock
     changes none."""
 
-    def __init__(self, chunks: Iterator[Frames], view: View) -> None:
+    def __init__(self, chunks: Iterator[Frames], view: View, notice: Callable[[], str] = lambda: "") -> None:
+        """notice: what there is to say of the link beside its frames, or ''."""
         self.playing = True
+        self._notice = notice
         self._chunks = chunks
         self._view = view
         self._waiting: deque[Frames] = deque()
@@ -70,6 +72,8 @@ class Live:
         if self._held:
             return self._held
         picture = self._view.picture(time.monotonic_ns())
+        if notice := self._notice():
+            picture = replace(picture, link=(*picture.link, notice))
         return Moment(self._view, picture, time.time(), self.clock(picture.t_ns)[:8])
 
     def clock(self, t_ns: int) -> str:

@@ -23,7 +23,7 @@ from fsai_vcu.diagnostics.log.frames import frames_of
 from fsai_vcu.diagnostics.log.live import Received, log_frame
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
+from fsai_vcu.diagnostics.recorder.segments import LOST_HERE, SegmentFolder
 from fsai_vcu.runtime.recording import candump_line
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class _Segment:
     tables: Tables | None = None
     writer: McapTables | None = None
     frames: int = 0
+    dropped: int = 0  # before it began, see Recording
     unpushed: int = 0  # of these, frames that are not on the disk yet
 
     def open(self, path: Path) -> DurableFile:
@@ -86,6 +87,7 @@ class Recording:
         self.taken = 0
         self.messages = 0
         self.lost = 0
+        self.dropped = 0  # frames that never came here, for the kernel had no room for them: who listens knows
         self._repair_last()
         self._segment: _Segment | None = self._begin(now_ns)
 
@@ -142,11 +144,17 @@ class Recording:
         place = self._place
         place.begin_segment()
         place.make_room(0)
-        now = {"segment": place.number or 1, "began": _date(self._wall_ns()), "ended": None, "frames": None}
+        now = {
+            "segment": place.number or 1,
+            "began": _date(self._wall_ns()),
+            "ended": None,
+            "frames": None,
+            LOST_HERE: None,
+        }
         about = self._about | now
         replace_durably(place.file(".json"), _text(about))
         with ExitStack() as opened:
-            segment = _Segment(opened, [], about, place.file(".json"), now_ns)
+            segment = _Segment(opened, [], about, place.file(".json"), now_ns, dropped=self.dropped)
             segment.open(place.file(".log"))
             if self._decoder is not None:
                 from fsai_vcu.diagnostics.export.mcap_file import McapTables
@@ -168,7 +176,8 @@ class Recording:
                 segment.writer.finish()
             for file in segment.files:
                 file.push()
-            segment.about.update(ended=_date(self._wall_ns()), frames=segment.frames)
+            lost = self.dropped - segment.dropped
+            segment.about.update({"ended": _date(self._wall_ns()), "frames": segment.frames, LOST_HERE: lost})
             replace_durably(segment.sidecar, _text(segment.about))
 
     def _over(self, segment: _Segment, now_ns: int) -> bool:

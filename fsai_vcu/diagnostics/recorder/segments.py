@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -15,6 +16,22 @@ from fsai_vcu.interface.errors import UserError
 _DIGITS: Final = 6
 _KINDS: Final = (".log", ".mcap", ".json")
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
+LOST_HERE: Final = "lost_in_receive_buffer"
+"""In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
+
+
+def lost_words(frames: int) -> str:
+    """What is said, everywhere, of frames that a listening machine lost itself."""
+    which = f"{frames} frame{'s' * (frames > 1)}"
+    return f"{which} lost in this machine's receive buffer: no fault of the bus or the car" if frames else ""
+
+
+def lost_while_recorded(log: Path) -> int:
+    """So many, by the file beside `log`; 0 where there is none that says so."""
+    try:
+        return int(json.loads(Path(str(log).removesuffix(".gz")).with_suffix(".json").read_text())[LOST_HERE])
+    except (OSError, ValueError, LookupError, TypeError):
+        return 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ LOAD_WINDOW_NS: Final = 100 * MS
 
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
 _PERIOD_TOLERANCE = 0.1
+_LONG_MS = 2000.0  # in which no frames that were held back shorten the mean by so much
 _ENOUGH_INTERVALS = 20
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
 _HIGH_LOAD = 0.7
@@ -456,7 +457,11 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
         yield _finding(False, "gap", text, can_id, message.longest_gap_at_s)
     # A gap moves the mean, and a rhythm of short and long moves the median: a wrong period moves both.
     off = min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
-    if message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
+    mean_ms = message.mean_ms or expected_ms
+    if message.count * mean_ms > _LONG_MS and mean_ms < (1.0 - _PERIOD_TOLERANCE) * expected_ms:
+        often = f"{1000 / mean_ms:.0f} times a second, but should {1000 / expected_ms:.0f} times"
+        yield _finding(supervised, "period", f"{name} comes {often}: a wrong period, or a second sender", can_id)
+    elif message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
         text = f"{name} comes every {p50_ms:.2f} ms, but should every {expected_ms:g} ms"
         yield _finding(supervised, "period", text, can_id)
 

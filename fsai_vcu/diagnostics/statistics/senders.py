@@ -24,6 +24,8 @@ SHORT_NS: Final = 200 * MS
 LONG_NS: Final = 1 * S  # a sender that catches up after a pause sends no more than its period allows in this time
 SHORT_EXCESS: Final = 1.5
 LONG_EXCESS: Final = 1.09
+SLOW_NS: Final = 2 * S  # in which one is told that sends less often than the other, and the same
+SLOW_EXCESS: Final = 1.08
 AROUND: Final = 3  # frames before and after one that contradicts them
 EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender's would
 _BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after the one before
@@ -86,14 +88,22 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
         ours = int(((flags & SENT) != 0).sum())
         proof = f"received, not sent, by the computer that wrote this log, beside {ours} of its own"
         return _stretches(frames, rows, (flags & RECEIVED) != 0, proof)
-    many = _too_many(t_ns)
-    if many.any():
-        begins = int(np.flatnonzero(many)[0])
-        upto = min(begins + round(LONG_NS / PERIOD_NS * SHORT_EXCESS), len(t_ns) - 1)
-        each_s = (upto - begins) / max((int(t_ns[upto]) - int(t_ns[begins])) / S, 1e-3)
-        return _stretches(frames, rows, many, f"{each_s:.0f} frames a second, and one sender sends {S // PERIOD_NS}")
-    proof = "a frame comes between two others and says something else than both"
-    return _stretches(frames, rows, _contradicting(frames, rows, layout), proof, payloads=True)
+    often = _around(t_ns)
+    short = often >= LONG_EXCESS * LONG_NS / PERIOD_NS
+    many = _too_many(t_ns, SHORT_NS, SHORT_EXCESS, PERIOD_NS, short)
+    contradicting = _contradicting(frames, rows, layout)
+    if contradicting.any() and not many.any():
+        proof = "a frame comes between two others and says something else than both"
+        return _stretches(frames, rows, contradicting, proof, payloads=True)
+    if not many.any():
+        # One that sends less often than the other: by the period that this really has, for a little fast is not two.
+        period_ns = min(PERIOD_NS, _period_ns(t_ns))
+        many = _too_many(t_ns, SLOW_NS, SLOW_EXCESS, period_ns, np.ones_like(short))
+        many &= often >= (1.0 + SLOW_EXCESS) / 2 * LONG_NS / period_ns  # the windows begin before it and end after it
+    if not many.any():
+        return []
+    proof = f"{np.percentile(often[many], 75):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
+    return _stretches(frames, rows, many, proof)
 
 
 def batched(t_ns: Ints) -> bool:
@@ -101,22 +111,33 @@ def batched(t_ns: Ints) -> bool:
     return bool((np.diff(t_ns) < MS).mean() > _BATCHED_SHARE) if len(t_ns) > 1 else False
 
 
-def _too_many(t_ns: Ints) -> Mask:
-    """Frames within the times in which more come than one sender's period allows, even if it catches up."""
-    index = np.arange(len(t_ns))
-    short = np.searchsorted(t_ns, t_ns + SHORT_NS) - index
+def _around(t_ns: Ints) -> Ints:
+    """How many frames there are in the second around the short window that begins with each."""
     middle = t_ns + SHORT_NS // 2
-    around = np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
-    hits = (short >= SHORT_EXCESS * SHORT_NS / PERIOD_NS) & (around >= LONG_EXCESS * LONG_NS / PERIOD_NS)
+    return np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
+
+
+def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, begins: Mask) -> Mask:
+    """Frames within windows, begun by one of `begins`, in which `excess` times as many come as the period allows, even
+    to a sender that catches up."""
+    index = np.arange(len(t_ns))
+    count = np.searchsorted(t_ns, t_ns + window_ns) - index
+    hits = begins & (count >= excess * window_ns / period_ns)
     # Frames that were held back, however long, bring one sender no further ahead of its period than it ever was.
-    ahead_ns = index * PERIOD_NS - (t_ns - t_ns[0])
-    last = np.minimum(index + short, len(t_ns)) - 1
+    ahead_ns = index * period_ns - (t_ns - t_ns[0])
+    last = np.minimum(index + count, len(t_ns)) - 1
     hits &= ahead_ns[last] - np.maximum.accumulate(ahead_ns) >= AHEAD_NS
     covered = np.zeros(len(t_ns) + 1, np.int64)
     np.add.at(covered, index[hits], 1)
-    np.add.at(covered, (index + short)[hits], -1)
+    np.add.at(covered, (index + count)[hits], -1)
     within: Mask = np.cumsum(covered[:-1]) > 0
     return within
+
+
+def _period_ns(t_ns: Ints) -> float:
+    """The period of most of a message's frames, in the mean over a second; the expected one where there are too few."""
+    every = round(LONG_NS / PERIOD_NS)
+    return float(np.median(np.diff(t_ns[::every]))) / every if len(t_ns) > 2 * every else float(PERIOD_NS)
 
 
 def _contradicting(frames: Frames, rows: Ints, layout: MessageLayout | None) -> Mask:
@@ -142,9 +163,8 @@ def _contradicting(frames: Frames, rows: Ints, layout: MessageLayout | None) -> 
         hits[places[alone]] = False
         return hits
     # One too many here, and not made up for by a pause before: by the period that the sender really has.
-    index, every = np.arange(count), round(LONG_NS / PERIOD_NS)
-    period_ns = float(np.median(np.diff(t_ns[::every]))) / every if count > 2 * every else float(PERIOD_NS)
-    ahead_ns = index * period_ns - (t_ns - t_ns[0])
+    index = np.arange(count)
+    ahead_ns = index * _period_ns(t_ns) - (t_ns - t_ns[0])
     padded = np.concatenate((np.full(BEFORE, -np.inf), ahead_ns))
     most_before = np.lib.stride_tricks.sliding_window_view(padded, BEFORE)[:count].max(axis=1)
     low, high = np.maximum(index - AROUND, 1), np.minimum(index + AROUND, count - 1)

@@ -80,9 +80,11 @@ class Verdict:
         findings = tuple(finding for finding in self.findings if inside(finding.t_ns))
         return replace(self, explanation=explanation, findings=findings)
 
-    def unread(self, status: int) -> Verdict:
-        """The same of a log that could not be read whole, where that is the status of reading it."""
-        return replace(self, unknown=(*self.unknown, UNREAD)) if status else self
+    def unread(self, status: int, lost: str) -> Verdict:
+        """The same of a log that could not be read whole, where that is the status of reading it. `lost`: a sentence on
+        what this machine lost of it, or ''."""
+        why = (lost,) if lost else (UNREAD,) if status else ()
+        return replace(self, unknown=(*why, *self.unknown))
 
     def line(self) -> str:
         """In one line, without findings."""

@@ -240,8 +240,40 @@ def bench_logs(effort: Effort) -> list[Row]:
     for kind, made in (("random", random_frames), ("recorded", recorded_frames))[: 2 if effort is FULL else 1]:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            rows += bench_log(kind, made(effort.log_frames, folder), folder, effort.log_rounds)
+            frames = made(effort.log_frames, folder)
+            rows += bench_log(kind, frames, folder, effort.log_rounds)
+            if kind == "random":
+                rows.append(bench_mf4(frames, folder / "whole.mf4", effort))
     return rows
+
+
+def bench_mf4(frames: Frames, path: Path, effort: Effort) -> Row:
+    """An MF4 log to columns, beside what asammdf takes to read it and no more. Wall time."""
+    import asammdf
+
+    names = "BusChannel", "ID", "IDE", "DLC", "DataLength", "DataBytes"
+    kinds = "u1", "<u4", "u1", "u1", "u1", "(64,)u1"  # as python-can writes them, if by the frame
+    fields = [(f"CAN_DataFrame.{name}", kind) for name, kind in zip(names, kinds, strict=True)]
+    samples = np.zeros(len(frames), fields)
+    samples["CAN_DataFrame.ID"] = frames.can_id
+    samples["CAN_DataFrame.DLC"] = samples["CAN_DataFrame.DataLength"] = frames.length
+    samples["CAN_DataFrame.DataBytes"][:, :8] = frames.word.view(np.uint8).reshape(-1, 8)
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append(asammdf.Signal(samples, (frames.t_ns - frames.t_ns[0]) / S, name="CAN_DataFrame"))
+        mdf.save(path, compression=2)
+
+    def read() -> int:
+        with open_log(path) as log:
+            return sum(map(len, log.chunks()))
+
+    def read_by_asammdf() -> int:
+        with asammdf.MDF(path) as mdf:
+            return len(mdf.get("CAN_DataFrame", 0, raw=True).samples)
+
+    assert read() == read_by_asammdf() == len(frames)
+    once = effort._replace(rounds=max(2, effort.log_rounds), turns=1)
+    words, scale = ("mf4, wall", "us/frame", "asammdf"), 1e6 / len(frames)
+    return compared(*words, ours=read, peer=read_by_asammdf, effort=once, scale=scale, timer=time.perf_counter)
 
 
 def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]:
@@ -308,7 +340,8 @@ def _decoded(log: Path, out: int | None = subprocess.PIPE) -> bytes:
 
 def _decoded_by_cantools(log: Path, dbc: Path) -> bytes:
     with log.open("rb") as source:
-        command = [sys.executable, "-m", "cantools", "decode", "--single-line", str(dbc)]
+        code = f"{_LEAN}import cantools; cantools._main()"
+        command = [sys.executable, "-c", code, "decode", "--single-line", str(dbc)]
         return subprocess.run(command, stdin=source, stdout=subprocess.PIPE, check=True).stdout
 
 
@@ -366,6 +399,7 @@ def _fixed_loop() -> None:
 
 # ---------------------------------------------------------------- starting
 
+_LEAN = "import sys; sys.modules['asammdf'] = None\n"  # python-can alone: here asammdf would triple a peer's start
 _PEER_START = "import can, cantools"
 _PEER_NODE = "import rclpy"
 _OUR_START = f"""
@@ -387,7 +421,7 @@ def bench_start(effort: Effort) -> Row:
     """A process that could send its first frame now, with database and bridge; and one with the libraries alone."""
     words = "start to a first frame", "s", _PEER_START
     once = effort._replace(rounds=effort.starts, turns=1)
-    works = {"ours": partial(_python, _OUR_START), "peer": partial(_python, _PEER_START)}
+    works = {"ours": partial(_python, _OUR_START), "peer": partial(_python, _LEAN + _PEER_START)}
     return compared(*words, **works, effort=once, scale=1.0, timer=_children_s)
 
 

@@ -1,0 +1,47 @@
+"""Frames that this machine had no room for are named by every verb that listens, and in what was recorded."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from talking_bus import talking
+
+from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.log.live import Listener
+from fsai_vcu.interface.frames import Frame
+
+BUS = f"loopback:lost-{os.getpid()}"
+WORDS = "7 frames lost in this machine's receive buffer: no fault of the bus or the car"
+
+
+@pytest.mark.parametrize("verb", ["dump", "check", "stats", "explain", "monitor", "record"])
+def test_what_the_kernel_threw_away_is_one_line(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Listener, "dropped", 7)
+    log = tmp_path / "run.log"
+    words = {"record": ["-i", BUS, "-o", str(log), "--seconds", "0.7"], "dump": [BUS, "-n", "3"]}
+    with talking(BUS, Frame(0x520, bytes(8))):
+        assert main([verb, *words.get(verb, [BUS, "--seconds", "0.3"])]) == 1
+    said = capsys.readouterr()
+    assert said.err.splitlines()[-1] == f"fsai-vcu {verb}: {WORDS}"
+    if verb in ("check", "stats"):
+        assert f"unknown: {WORDS}" in said.out
+    if verb == "monitor":
+        assert f"| {WORDS} |" in said.out
+    if verb == "record":
+        assert json.loads(log.with_suffix(".json").read_text())["lost_in_receive_buffer"] == 7
+        assert main(["check", str(log)]) == 1
+        assert f"unknown: {WORDS}" in capsys.readouterr().out
+
+
+def test_a_log_without_a_loss_is_judged_by_its_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = shutil.copy(Path(__file__).parents[1] / "diagnostics/golden/bends.log.gz", tmp_path / "run.log.gz")
+    before = main(["check", str(log)]), capsys.readouterr()
+    for lost in ("{}", '{"lost_in_receive_buffer": 0}', '{"lost_in_receive_buffer": null}', "no JSON"):
+        (tmp_path / "run.json").write_text(lost)
+        assert (main(["check", str(log)]), capsys.readouterr()) == before, lost
