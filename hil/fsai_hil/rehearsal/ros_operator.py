@@ -22,8 +22,8 @@ class RosOperator:
     def __init__(self, stack: Stack, name: str = "operator") -> None:
         self._stack = stack
         # rclpy reads its environment once, when it is first initialised.
-        for name in VARIABLES:
-            os.environ.pop(name, None)
+        for variable in VARIABLES:
+            os.environ.pop(variable, None)
         os.environ.update({name: stack.environ[name] for name in ("ROS_DOMAIN_ID", *LOOPBACK)})
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray

@@ -201,9 +201,11 @@ class Rehearsal:
 
     def undisturbed_drive(self) -> None:
         with self.drive("undisturbed") as watch:
-            self.clock_stepped(watch)
-            self.disk_filled(watch)
-            self.recorder_killed(watch)
+            for befalls in (self.clock_stepped, self.disk_filled, self.recorder_killed):
+                befalls(watch)
+                self.check("and the car drives on", self.undisturbed(watch))
+                if not self.undisturbed(watch):
+                    raise CannotGoOn
             self.struck(watch, DETECTOR_KILLED)
 
     def struck_in_a_drive(self, strike: Strike) -> None:
@@ -390,14 +392,12 @@ class Rehearsal:
         )
         reported = [line for line in self.journal_of(self.recorder)[since:] if "cannot write" in line]
         self.check("it has reported that in one line", len(reported) == 1, "; ".join(reported))
-        self.check("and the car drives on", self.undisturbed(watch))
 
     def recorder_killed(self, watch: BusWatch) -> None:
         before = main_pid(self.recorder)
         os.kill(before, signal.SIGKILL)
         self.step("the recorder killed: back", lambda: self.anew(self.recorder, before), 60.0, SERVICE_BACK_S)
         watch.read()
-        self.check("and the car drives on", self.undisturbed(watch))
 
     def undisturbed(self, watch: BusWatch) -> bool:
         return watch.as_state is AsState.AS_DRIVING and watch.fastest_rpm > DRIVES_RPM / 2
