@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
-from fsai_vcu.core.planning.cone_memory import ConeMemory, believable
+from fsai_vcu.core.planning.cone_memory import ConeMemory, believable, by_chain
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 SETTINGS = PlannerSettings()
@@ -122,3 +122,42 @@ def test_what_cannot_be_a_cone_is_not_taken_in() -> None:
     xy, color = believable(observation, SETTINGS)
     assert xy.tolist() == [[5.0, 1.0], [6.0, 1.0]]
     assert color.tolist() == [ConeColor.BLUE, ConeColor.UNKNOWN]
+
+
+def rows(*at_m: float, step_m: float = 4.0) -> np.ndarray:
+    """Rows of seven cones along x, at these places across."""
+    return np.array([(step_m * place, y) for y in at_m for place in range(7)])
+
+
+def sides(*of_rows: float) -> np.ndarray:
+    return np.repeat(np.array(of_rows), 7)
+
+
+@pytest.mark.parametrize("wrong", range(1, 6))
+@pytest.mark.parametrize("step_m", (2.0, 4.9))
+def test_a_cone_within_a_border_of_the_other_colour_is_of_it(wrong: int, step_m: float) -> None:
+    seen = sides(1.0, -1.0)
+    seen[wrong] *= -1.0
+    assert list(by_chain(rows(1.6, -1.6, step_m=step_m), seen)) == list(sides(1.0, -1.0))
+
+
+@pytest.mark.parametrize("last", (0, 6))
+def test_a_cone_at_a_borders_end_keeps_its_colour(last: int) -> None:
+    seen = sides(1.0, -1.0)
+    seen[last] *= -1.0
+    assert list(by_chain(rows(1.6, -1.6), seen)) == list(seen)
+
+
+@pytest.mark.parametrize("apart_m", (0.5, 1.5, 3.0))
+@pytest.mark.parametrize("next_lane", ((1.0, -1.0), (-1.0, 1.0)))
+def test_lanes_beside_each_other_keep_their_colours(apart_m: float, next_lane: tuple[float, float]) -> None:
+    xy, seen = rows(1.5, -1.5, -1.5 - apart_m, -4.5 - apart_m), sides(1.0, -1.0, *next_lane)
+    assert list(by_chain(xy, seen)) == list(seen)
+
+
+@pytest.mark.parametrize("inside_m", (1.5, 3.0, 6.0))
+def test_a_hairpins_borders_keep_their_colours(inside_m: float) -> None:
+    arcs = [(radius, np.arange(0.0, np.pi, 2.0 / radius)) for radius in (inside_m, inside_m + 3.0)]
+    xy = np.concatenate([radius * np.stack((np.sin(turn), -np.cos(turn)), axis=-1) for radius, turn in arcs])
+    seen = np.repeat((1.0, -1.0), [len(turn) for _, turn in arcs])
+    assert list(by_chain(xy, seen)) == list(seen)

@@ -59,6 +59,9 @@ _CONE = np.dtype(
     ]
 )
 GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
+# A border is a chain of cones so near each other. By the cosine of the angle between the ways from one of them to the
+# next and to the last: so straight that it outvotes a colour; so little bent that a cone of its colour is surely of it.
+CHAIN_GAP_M, CHAIN_COS, CHAIN_BENT_COS = 5.0, -0.9, -0.3
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -147,6 +150,7 @@ class ConeMemory:
         has_color = colored.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
         color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
         by_color = np.where(color == ConeColor.BLUE, 1.0, np.where(color == ConeColor.YELLOW, -1.0, 0.0))
+        by_color = by_chain(here[index], by_color)
         lane = known["side"][index]
         # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
         contrary = np.clip(by_color + lane / OUTVOTES, -1.0, 1.0)
@@ -158,3 +162,29 @@ class ConeMemory:
         """The lane has these cones on its left (+1) or right (-1), surely or less so."""
         known = self._cones["side"]
         known[index] = np.clip(known[index] + side, -6.0, 6.0)
+
+
+def by_chain(xy_m: Floats, side: Floats) -> Floats:
+    """The sides (+1, -1, 0 unknown) of cones by their colours, but turned for those in a border of the other colour.
+
+    Such a cone has one of the other colour before and one behind it in line, of which one at least goes on in line to a
+    next one of its own colour; and it is not between two of the cone's own.
+    """
+    if not len(xy_m):
+        return side
+    way = xy_m[None, :] - xy_m[:, None]
+    length = np.hypot(way[..., 0], way[..., 1])
+    near = (length > 0.0) & (length < CHAIN_GAP_M)
+    unit = way / np.where(near, length, np.inf)[..., None]
+    colors = side[:, None] * side
+    same, other = (unit * (colors == sign)[..., None] for sign in (1.0, -1.0))
+    # [j, i] from i by j to another of j's colour
+    goes_on = _straightest(unit, same) < CHAIN_COS
+    between = _straightest(other * goes_on.T[..., None], other).min(axis=1) < CHAIN_COS
+    at_home = _straightest(same, same).min(axis=1) < CHAIN_BENT_COS
+    return np.where(between & ~at_home, -side, side)
+
+
+def _straightest(to: Floats, on: Floats) -> Floats:
+    """(N, M) for each cone and each way from it in `to`, the least cosine to any way from it in `on`."""
+    return np.asarray((to @ on.transpose(0, 2, 1)).min(axis=2))
