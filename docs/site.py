@@ -24,7 +24,7 @@ PARTS = ("*.md", "docs/pictures", "docs/evidence", "docs/site.css", "nodes/*.msg
 
 def _picture(source: str, *_: Any, **__: Any) -> str:
     try:
-        svg = str(mmdr.render(source).svg())
+        svg = str(mmdr.render(source).svg()).replace("font-size:14px", "font-size:12px")  # it fits in wider fonts too
     except Exception as error:
         raise SuperFencesException(f"no diagram: {error}") from error  # others would show the source instead
     width = float(svg.split('viewBox="', 1)[1].split('"')[0].split()[2])
