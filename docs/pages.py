@@ -7,6 +7,7 @@ The words of a page are written by hand, its tables, diagrams and figures are ma
 from __future__ import annotations
 
 import ast
+import json
 import re
 import runpy
 import sys
@@ -352,7 +353,7 @@ def figures() -> str:
         (f"{driven} drives, each mission to its end", f"failed: {failed}", "missions"),
         (
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
-            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a C loop: {idle[7]}, {idle[8]})",
+            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a polling C loop: {idle[7]}, {idle[8]})",
             "response-time",
         ),
         (
@@ -361,10 +362,32 @@ def figures() -> str:
             "mutation",
         ),
     )
-    return _table(
-        ("what was done", "result", "all of it"),
-        ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows),
+    links = ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows)
+    return _table(("what was done", "result", "all of it"), (*links, *_speeds()))
+
+
+def _speeds() -> Iterator[tuple[str, str, str]]:
+    """Beside others in the same run."""
+    ratios = {row["name"]: row["ratio"]["median"] for row in json.loads(_read("bench.json"))["results"]}
+    link = "[bench]({evidence}bench.json)"
+    frames = "{decode a frame:.1f} and {encode a frame:.1f} times as fast as cantools".format_map(ratios)
+    logs = "{decode random, wall:.0f} to {decode recorded, wall:.0f} times as fast as cantools decode".format_map(
+        ratios
     )
+    yield "a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}", link
+    slower = (
+        f"{1 / ratios['answer a 0x520']:.1f} times as long as a loop of cantools and python-can that checks nothing"
+    )
+    yield "0x520 answered, every check made", slower, link
+
+
+def targets() -> str:
+    """What the Makefile says of the targets that show something."""
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    part = text[text.index("##@ Is it safe?") : text.index("##@ For others")]
+    found = [("test", text), *((name, part) for name in re.findall(r"^([a-z-]+):.*## ", part, re.MULTILINE))]
+    rows = ((f"`make {name}`", *_found(rf"(?m)^{name}:.*## (.*)$", where)) for name, where in found)
+    return _table(("command", "what it does"), rows)
 
 
 def hazards() -> str:
@@ -405,7 +428,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
         *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
-        *(keys, parameters, topics, services, figures, hazards),
+        *(keys, parameters, topics, services, figures, targets, hazards),
     )
 }
 

@@ -52,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NODE=PROGRAM",
-        help="a program of yours (FILE.py, MODULE, an executable) drives in the place of this node; may be given often",
+        help="the part of the suite that drives, with a program of yours (FILE.py, MODULE, an executable) in the place of "
+        "this node; may be given often",
     )
     add_place_arguments(parser)
     parser.add_argument(
@@ -153,12 +154,12 @@ def prepared_place(args: argparse.Namespace) -> vcan.VcanHost:
 
 
 def _selection(args: argparse.Namespace) -> list[str]:
-    """The arguments for pytest: the whole suite unless a part of it is named."""
+    """The arguments for pytest: the whole suite unless a part of it is named; with programs of others, what drives."""
     words: list[str] = args.pytest_args
     if args.soak is not None:
         return [str(_SOAK), "-s", *words]
     named = [word for word in words if not word.startswith("-") and Path(CHECKOUT, word.split("::")[0]).exists()]
-    return [*words] if named else [str(_SUITE), *words]
+    return [*words] if named else [str(_SUITE / "chain" if args.own else _SUITE), *words]
 
 
 def environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:

@@ -192,6 +192,7 @@ def chain(interface: str) -> Iterator[Chain]:
         operator = RosOperator(stack)
         try:
             operator.await_bridge(START_S)
+            stack.check_alive()
             yield Chain(stack, operator, interface, folder)
         finally:
             operator.close()
