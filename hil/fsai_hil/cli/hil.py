@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NODE=PROGRAM",
-        help="the part of the suite that drives, with a program of yours (FILE.py, MODULE, an executable) in the place of "
-        "this node; may be given often",
+        help="the part of the suite that drives, with a program of yours in the place of this node: FILE.py, MODULE or "
+        "an executable; may be given often",
     )
     add_place_arguments(parser)
     parser.add_argument(
