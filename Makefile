@@ -109,10 +109,7 @@ wheel: setup-for-tests  ## the wheel and the sdist, in dist; fsai-vcu drive work
 
 docs: setup  ## build the documentation into out/docs, every link checked; installs what that needs
 	@$(BIN)/python -c "import material, mkdocstrings_handlers, mmdr" 2>/dev/null || $(BIN)/pip install -q -e ".[docs]"
-	@rm -rf out/pages && mkdir -p out/pages
-	@git ls-files -coz --exclude-standard '*.md' docs/pictures docs/site.css | xargs -0 cp --parents -t out/pages
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict >out/docs.log 2>&1 || { cat out/docs.log; exit 1; }
-	@echo "saved out/docs/index.html; with its search: python3 -m http.server -d out/docs"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python docs/site.py out
 
 pages: setup  ## renew the tables and diagrams in the documentation's pages from code and evidence
 	@$(BIN)/python docs/pages.py

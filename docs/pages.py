@@ -6,6 +6,8 @@ The words of a page are written by hand, its tables, diagrams and figures are ma
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import runpy
 import sys
@@ -15,10 +17,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.rules.checker import RULES
 from fsai_hil.simulator.as_machine import transition_table
 from fsai_hil.simulator.profiles import SPECIFICATION
+from fsai_nodes.qos import FRAMES, TOPICS
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import LIMITERS
@@ -40,6 +45,14 @@ from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.configuration import KEYS
 
 ROOT: Final = Path(__file__).resolve().parents[1]
+NODES: Final = (
+    "sensor_simulator",
+    "cone_detector",
+    "path_planner",
+    "vehicle_controller",
+    "vcu_bridge",
+    "visualization",
+)
 EVIDENCE: Final = ROOT / "docs" / "evidence"
 BLOCK: Final = re.compile(r"(<!-- made: (\w+) -->\n).*?(<!-- /made -->)", re.DOTALL)
 
@@ -236,13 +249,68 @@ def keys() -> str:
 
 
 def parameters() -> str:
-    nodes = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge", "visualization")
     rows = (
         (node, f"`{one.name}`", f"`{_value(one.default)}`", _range(one), one.description, "live" if one.live else "")
-        for node in (*nodes, "eufs_adapter")
+        for node in (*NODES, "eufs_adapter")
         for one in import_module(f"fsai_nodes.{node}").SETTINGS
     )
     return _table(("node", "parameter", "default", "may be", "meaning", ""), rows)
+
+
+def _interface() -> Iterator[tuple[str, str, str, str, str]]:
+    """What a node makes: its name; publisher, subscription, service or ActionServer; the name and the type that others
+    see; what is said of the function that is called.
+    """
+    for node in NODES:
+        source = ROOT / "nodes" / "fsai_nodes" / "fsai_nodes" / f"{node}.py"
+        tree = list(ast.walk(ast.parse(source.read_text(encoding="utf-8"))))
+        imports = [
+            (one.module or "", alias.name) for one in tree if isinstance(one, ast.ImportFrom) for alias in one.names
+        ]
+        places = {kind: module.replace(".", "/") for module, kind in imports}
+        words = {one.name: ast.get_docstring(one) or "" for one in tree if isinstance(one, ast.FunctionDef)}
+        for call in tree:
+            name = ast.unparse(call.func).removeprefix("self.create_") if isinstance(call, ast.Call) else ""
+            if name in ("publisher", "subscription", "service", "ActionServer"):
+                given = [ast.unparse(one) for one in (*call.args, *(keyword.value for keyword in call.keywords))]
+                kind, topic = given[given[0] in ("self", "node") :][:2]
+                called = next(filter(None, (words.get(one.removeprefix("self."), "") for one in given)), "")
+                yield node, name, "/" + topic.strip("/'"), _type(places[kind], kind), " ".join(called.split())
+
+
+def _type(place: str, kind: str) -> str:
+    """As ROS names it; a type of ours leads to its definition."""
+    name = f"{place.partition('/')[0]}/{kind}"
+    file = f"{place}/{kind}.{place.rpartition('/')[2]}"
+    return f"[{name}]({file})" if (ROOT / "nodes" / file).is_file() else name
+
+
+def _quality(profile: Any) -> str:
+    kept = ", transient local" if profile.durability is DurabilityPolicy.TRANSIENT_LOCAL else ""
+    lifespan = f", lifespan {profile.lifespan.nanoseconds // MS} ms" if profile.lifespan.nanoseconds else ""
+    words = "reliable" if profile.reliability is ReliabilityPolicy.RELIABLE else "best effort"
+    return f"{words}{kept}, keep-last {profile.depth}{lifespan}"
+
+
+def topics() -> str:
+    made = list(_interface())
+
+    def row(name: str, profile: Any) -> Sequence[str]:
+        (kind,) = {kind for _, _, topic, kind, _ in made if topic == name}
+        ends = {
+            end: ", ".join(node for node, what, topic, *_ in made if (what, topic) == (end, name))
+            for end in ("publisher", "subscription")
+        }
+        return f"`{name}`", kind, *ends.values(), _quality(profile)
+
+    rows = (row("/" + name.strip("/"), profile) for name, profile in {**TOPICS, **FRAMES}.items())
+    return _table(("topic", "type", "sent by", "read by", "quality of service"), rows)
+
+
+def services() -> str:
+    made = [row for row in _interface() if row[1] in ("service", "ActionServer")]
+    rows = ((f"`{name}`", kind + " (action)" * (what == "ActionServer"), words) for _, what, name, kind, words in made)
+    return _table(("name", "type", "what"), rows)
 
 
 def _value(value: object) -> str:
@@ -285,7 +353,7 @@ def figures() -> str:
         (f"{driven} drives, each mission to its end", f"failed: {failed}", "missions"),
         (
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
-            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a C loop: {idle[7]}, {idle[8]})",
+            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a polling C loop: {idle[7]}, {idle[8]})",
             "response-time",
         ),
         (
@@ -294,10 +362,32 @@ def figures() -> str:
             "mutation",
         ),
     )
-    return _table(
-        ("what was done", "result", "all of it"),
-        ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows),
+    links = ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows)
+    return _table(("what was done", "result", "all of it"), (*links, *_speeds()))
+
+
+def _speeds() -> Iterator[tuple[str, str, str]]:
+    """Beside others in the same run."""
+    ratios = {row["name"]: row["ratio"]["median"] for row in json.loads(_read("bench.json"))["results"]}
+    link = "[bench]({evidence}bench.json)"
+    frames = "{decode a frame:.1f} and {encode a frame:.1f} times as fast as cantools".format_map(ratios)
+    logs = "{decode random, wall:.0f} to {decode recorded, wall:.0f} times as fast as cantools decode".format_map(
+        ratios
     )
+    yield "a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}", link
+    slower = (
+        f"{1 / ratios['answer a 0x520']:.1f} times as long as a loop of cantools and python-can that checks nothing"
+    )
+    yield "0x520 answered, every check made", slower, link
+
+
+def targets() -> str:
+    """What the Makefile says of the targets that show something."""
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    part = text[text.index("##@ Is it safe?") : text.index("##@ For others")]
+    found = [("test", text), *((name, part) for name in re.findall(r"^([a-z-]+):.*## ", part, re.MULTILINE))]
+    rows = ((f"`make {name}`", *_found(rf"(?m)^{name}:.*## (.*)$", where)) for name, where in found)
+    return _table(("command", "what it does"), rows)
 
 
 def hazards() -> str:
@@ -338,7 +428,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
         *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
-        *(keys, parameters, figures, hazards),
+        *(keys, parameters, topics, services, figures, targets, hazards),
     )
 }
 

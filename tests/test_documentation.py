@@ -6,6 +6,8 @@ import ast
 import re
 import runpy
 import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -147,6 +149,13 @@ def test_tables_in_pages_are_those_of_code_and_evidence() -> None:
     made = tables()
     old = [page.name for page in made["pages"]() if made["renewed"](page) != page.read_text(encoding="utf-8")]
     assert not old, f"run: make pages (renews {', '.join(old)})"
+
+
+def test_the_site_is_built_and_no_link_in_it_is_broken(tmp_path: Path) -> None:
+    site = [sys.executable, str(ROOT / "docs" / "site.py"), str(tmp_path)]
+    built = subprocess.run(site, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    assert 'alt="diagram"' in (tmp_path / "docs" / "docs" / "architecture.html").read_text()
 
 
 def test_each_hazards_rules_tests_and_faults_exist() -> None:

@@ -8,6 +8,7 @@ import math
 
 from fsai_msgs.msg import PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from nav_msgs.msg import Path
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from fsai_nodes.process import run
@@ -38,7 +39,7 @@ class OwnController(Node):
         self.create_subscription(VehicleState, "vehicle_state", self.on_state, TOPICS["vehicle_state"])
         self.create_subscription(PlannerStatus, "planner_status", self.on_status, TOPICS["planner_status"])
         self.create_subscription(Path, "path", self.on_path, TOPICS["path"])
-        self.create_timer(0.02, self.tick)
+        self.create_timer(0.02, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))  # none that is set
 
     def on_run(self, message):
         if message.run_id != self.run.run_id:  # a new run: forget everything, then say so

@@ -5,6 +5,7 @@ so it confirms each new run for both, sends a command 50 times a second, and say
 """
 
 from fsai_msgs.msg import ResetConfirmation, RunState, VehicleCommand, VehicleState
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from fsai_nodes.process import run
@@ -31,7 +32,7 @@ class OwnMission(Node):
         self.confirmation = self.create_publisher(ResetConfirmation, "reset_confirmation", TOPICS["reset_confirmation"])
         self.create_subscription(RunState, "run_state", self.on_run, TOPICS["run_state"])
         self.create_subscription(VehicleState, "vehicle_state", self.on_state, TOPICS["vehicle_state"])
-        self.create_timer(0.02, self.tick)
+        self.create_timer(0.02, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))  # none that is set
 
     def on_run(self, message):
         if message.run_id != self.run.run_id:  # a new run: forget everything, then say so

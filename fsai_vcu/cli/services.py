@@ -21,7 +21,7 @@ _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
     "ROS 2 is not in this Python environment ({missing}): source the distribution's setup file, "
-    "or install it with: pip install 'fsai-vcu[ros]' and build the messages with nodes/build-messages"
+    "or, in the checkout, install it with: make setup"
 )
 
 

@@ -176,6 +176,6 @@ def test_a_silent_bus_is_said_though_the_server_speaks(browser: Chrome) -> None:
             assert (text(browser, "banner"), text(browser, "state")) == ("nothing is received on can0", "no AS state")
         last = {**state, "silent_s": 12.4, "as_state_heard": "AS_DRIVING"}
         with publishing(server, last, {"way_cm": [], "events": []}):
-            until(browser, lambda: text(browser, "banner") == "can0 is silent since 12 s")
+            until(browser, lambda: text(browser, "banner") == "can0 has been silent for 12 s")
             assert (text(browser, "state"), stale(browser)) == ("car silent", False)
             assert text(browser, "speed") == "– m/s"

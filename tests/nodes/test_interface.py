@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import re
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from fsai_msgs.msg import RunState, VehicleState
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from ros_rig import RosRig
 
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller, visualization
@@ -103,25 +102,6 @@ def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) ->
             for policy in policies:
                 found, wanted_value = promise(endpoint.qos_profile, policy), promise(wanted_qos, policy)
                 assert found == wanted_value, (topic, endpoint.node_name, policy)
-
-
-def described(profile: QoSProfile) -> str:
-    """As the README has it."""
-    kept = ", transient local" if profile.durability is DurabilityPolicy.TRANSIENT_LOCAL else ""
-    times = "".join(
-        f", {name} {getattr(profile, name).nanoseconds // 1_000_000} ms"
-        for name in ("deadline", "lifespan")
-        if getattr(profile, name).nanoseconds
-    )
-    words = "reliable" if profile.reliability is ReliabilityPolicy.RELIABLE else "best effort"
-    assert profile.history is HistoryPolicy.KEEP_LAST
-    return f"{words}{kept}, keep-last {profile.depth}{times}"
-
-
-def test_each_topics_quality_of_service_is_the_readmes() -> None:
-    rows = dict(re.findall(r"^\| `(/[\w/]+)` \|.*\| ([^|]+) \|$", README, re.MULTILINE))
-    assert {f"/{topic}": described(profile) for topic, profile in qos.TOPICS.items()}.items() <= rows.items()
-    assert {topic: described(profile) for topic, profile in qos.FRAMES.items()}.items() <= rows.items()
 
 
 @pytest.mark.parametrize("name", MODULES)

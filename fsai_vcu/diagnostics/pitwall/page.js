@@ -48,7 +48,7 @@ function look() { // is what is shown of now?
   if (age === null) text = now > SILENT_MS ? "no connection to the server yet" : "connecting …";
   else if (lost) text = `connection lost since ${span(age / 1000)}: these values are old`;
   else if (silentS === null) text = `nothing is received on ${channel}`;
-  else if (silentS > 1) text = `${channel} is silent since ${span(silentS)}`;
+  else if (silentS > 1) text = `${channel} has been silent for ${span(silentS)}`;
   document.body.classList.toggle("stale", lost);
   by("banner").hidden = !text;
   say(by("banner"), text);

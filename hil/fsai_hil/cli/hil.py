@@ -35,8 +35,8 @@ _PASSED_ON_PREFIXES = ("LANG", "LC_", "FSAI_", "ROS_", "_ROS_", "PYTEST_", "PYTH
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.allow_abbrev = False
     parser.usage = (
-        "%(prog)s [--all | --soak MINUTES] [--native | --uml] [--timeout S] [--results DIR]"
-        " [pytest's arguments: -k, -x, a file …]"
+        "%(prog)s [--all | --soak MINUTES] [--with NODE=PROGRAM] [--native | --uml] [--timeout S]"
+        " [--results DIR] [pytest's arguments: -k, -x, a file …]"
     )
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--all", action="store_true", help="also the long tests: every fault of every process")
@@ -45,6 +45,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="MINUTES",
         help="instead: one mission after another for so long, with the verdict whether it stays flat",
+    )
+    parser.add_argument(
+        "--with",
+        dest="own",
+        action="append",
+        default=[],
+        metavar="NODE=PROGRAM",
+        help="the part of the suite that drives, with a program of yours in the place of this node: FILE.py, MODULE or "
+        "an executable; may be given often",
     )
     add_place_arguments(parser)
     parser.add_argument(
@@ -84,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"the suite is part of the source checkout, and {CHECKOUT} has no {_SUITE}")
     if find_spec("pytest") is None:
         raise UserError(f"the suite needs what tests need: make -C {CHECKOUT} setup-for-tests")
+    own = [own_program(each) for each in args.own]
     # A polite kill ends everything properly, as Ctrl-C does: the logs are still to be put into their place.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -94,6 +104,8 @@ def run(args: argparse.Namespace) -> int:
         if args.results is None and usual.exists():  # another folder must be its owner's care
             shutil.rmtree(usual)
         env = environment(os.environ, vcan.INTERFACE, place.name, results)
+        if own:
+            env["FSAI_HIL_WITH"] = ",".join(own)
         if args.all or args.soak:
             env["FSAI_HIL_ALL"] = "1"
         if args.soak is not None:
@@ -120,6 +132,18 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
+def own_program(given: str) -> str:
+    """NODE=PROGRAM as the suite takes it, which runs in another folder. Raises WrongUse."""
+    from fsai_hil.rehearsal.stack import NODES
+
+    node, _, named = given.partition("=")
+    if node not in NODES[1:] or not named:
+        raise WrongUse(f"--with {given}: must be NODE=PROGRAM, with one of {', '.join(NODES[1:])}")
+    if ("/" in named or named.endswith(".py")) and not Path(named).is_file():
+        raise WrongUse(f"--with {given}: no such file")
+    return f"{node}={Path(named).absolute() if Path(named).is_file() else named}"
+
+
 def prepared_place(args: argparse.Namespace) -> vcan.VcanHost:
     """Where the arguments want the vcan0, with everything compiled. Raises VcanError."""
     place = vcan.choose_place("native" if args.native else "uml" if args.uml else "auto")
@@ -130,12 +154,12 @@ def prepared_place(args: argparse.Namespace) -> vcan.VcanHost:
 
 
 def _selection(args: argparse.Namespace) -> list[str]:
-    """The arguments for pytest: the whole suite unless a part of it is named."""
+    """The arguments for pytest: the whole suite unless a part of it is named; with programs of others, what drives."""
     words: list[str] = args.pytest_args
     if args.soak is not None:
         return [str(_SOAK), "-s", *words]
     named = [word for word in words if not word.startswith("-") and Path(CHECKOUT, word.split("::")[0]).exists()]
-    return [*words] if named else [str(_SUITE), *words]
+    return [*words] if named else [str(_SUITE / "chain" if args.own else _SUITE), *words]
 
 
 def environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:

@@ -131,7 +131,10 @@ def drive(args: argparse.Namespace) -> int:
             options = {name: getattr(args, name) for name in ("mission", "revision", "seed", "laps", "track")}
             options |= {"result": verdict, "plot": plot, "no-gps": args.no_gps}
             vcu = stack.start_verb("vcu", *simulated_car(bus, stack.truth_port, options))
-            _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
+            accepted = operator.become_autonomous(
+                START_TIMEOUT_S, lambda why: _say(f"set_mode: {why}; asking again"), "vcu"
+            )
+            _say(f"set_mode: {accepted}")
             result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *nodes)
             _say(f"run_mission: {result.message}")
         finally:

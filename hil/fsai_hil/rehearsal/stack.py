@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO
 
 from fsai_vcu.runtime.transport import loopback_environment
@@ -35,6 +36,13 @@ def simulated_car(bus: str, truth_port: int, options: Mapping[str, object]) -> l
     words = ["vcu", "-i", bus, "--auto", "--truth", str(truth_port)]
     given = {name: value for name, value in options.items() if value is not None and value is not False}
     return words + [f"--{name}" + ("" if value is True else f"={value}") for name, value in given.items()]
+
+
+def program(named: str) -> list[str]:
+    """The words that start a program of others: a Python file, a file that can be executed, or a Python module."""
+    if not named.endswith(".py") and os.access(named, os.X_OK):
+        return [str(Path(named).absolute())]
+    return [sys.executable, *([named] if named.endswith(".py") else ["-m", named])]
 
 
 def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:
@@ -149,9 +157,15 @@ class RunningProcess:
 class Stack:
     """Starts processes that share a bus, a ROS domain and a folder for their logs; ends them all on exit."""
 
-    def __init__(self, bus: str, folder: Path, *, slow_place: bool = False) -> None:
-        """slow_place: one slow processor for all of it, as in User-Mode Linux: what can be, is done less often."""
+    def __init__(
+        self, bus: str, folder: Path, *, slow_place: bool = False, own: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        """slow_place: one slow processor for all of it, as in User-Mode Linux: what can be, is done less often.
+
+        own: programs of others that are started in place of nodes, and under their names.
+        """
         self.bus = bus
+        self._own = own
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         # Two rehearsals side by side must not receive each other's messages; ids up to 101 are safe on every platform.
@@ -186,7 +200,9 @@ class Stack:
         words = ["--ros-args"]
         for parameter, value in self._parameters[name].items():
             words += ["-p", f"{parameter}:={value}"]
-        return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *words])
+        if name in self._own:  # it has parameters of its own
+            words = ["--ros-args", "-r", f"__node:={name}"]
+        return self.start(name, [*program(self._own.get(name, f"fsai_nodes.{name}")), *words])
 
     def start_nodes(
         self, parameters: Mapping[str, Mapping[str, object]], without: Sequence[str] = (), others: Sequence[str] = ()
@@ -199,9 +215,8 @@ class Stack:
         for name in started:
             self.start_node(name, **parameters.get(name, {}))
         for other in others:
-            argv = [other] if other.endswith(".py") else ["-m", other]
-            started.append(Path(other).stem if other.endswith(".py") else other.rpartition(".")[2])
-            self.start(started[-1], [sys.executable, *argv])
+            started.append(Path(other).stem if Path(other).is_file() else other.rpartition(".")[2])
+            self.start(started[-1], program(other))
         return tuple(started)
 
     def check_alive(self, *names: str) -> None:

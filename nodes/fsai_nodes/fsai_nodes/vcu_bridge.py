@@ -350,13 +350,16 @@ class VcuBridge(LifecycleNode):
             self._loop.confirm_reset(message.role, message.run_id)
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
+        """`manual` or `autonomous` (`fsai-vcu mode`); refused with the reason. It says so if it was that already."""
         return self._served(response, f"set_mode '{request.mode}'", lambda loop: loop.set_mode(request.mode))
 
     def _on_emergency_brake(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Latches ESTOP_REQUEST (`fsai-vcu emergency-brake`)."""
         why = "asked for by /emergency_brake"
         return self._served(response, "emergency_brake", lambda loop: loop.emergency_brake(why))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Clears it, in AS_INIT and AS_OFF (`fsai-vcu reset`)."""
         return self._served(response, "reset", LoopHandle.reset)
 
     def _served(self, response: Any, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> Any:
@@ -452,6 +455,9 @@ class VcuBridge(LifecycleNode):
     # ------------------------------------------------------------ /run_mission
 
     def _on_goal(self, request: RunMission.Goal) -> GoalResponse:
+        """Follows a run: wait until ready, driving, finished, emergency, off or end; cancelling it is `manual` for the
+        car, and its result comes when the car no longer drives.
+        """
         try:
             Waiting(request.mission, request.until, request.timeout_s, 0)
         except GoalError as error:

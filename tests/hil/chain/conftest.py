@@ -34,6 +34,7 @@ LAPS = 100  # of a trackdrive: more than any test takes, and the most there may 
 DRIVES_MPS = 1.5  # driving is driving: no test here waits for more
 POWER_CYCLE_S = 1.0
 SLOW_PLACE = os.environ.get("FSAI_HIL_PLACE") == "uml"  # one slow processor
+OWN = dict(each.split("=", 1) for each in os.environ.get("FSAI_HIL_WITH", "").split(",") if each)  # --with
 
 
 FLOOD_ID = 0x7FF
@@ -186,11 +187,12 @@ class Chain:
 @pytest.fixture(scope="package")
 def chain(interface: str) -> Iterator[Chain]:
     folder = new_folder("chain")
-    with Stack(interface, folder, slow_place=SLOW_PLACE) as stack:
+    with Stack(interface, folder, slow_place=SLOW_PLACE, own=OWN) as stack:
         stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}, "path_planner": {"laps": LAPS}})
         operator = RosOperator(stack)
         try:
             operator.await_bridge(START_S)
+            stack.check_alive()
             yield Chain(stack, operator, interface, folder)
         finally:
             operator.close()

@@ -10,10 +10,11 @@ import json
 import subprocess
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from chain.conftest import CODEC, DRIVE_S, MISSION, POWER_UP_S, START_S, STOP_S, Chain
+from chain.conftest import CODEC, DRIVE_S, MISSION, OWN, POWER_UP_S, START_S, STOP_S, Chain
 from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
 from fsai_hil.rehearsal.stack import NODES
 from fsai_hil.rules.checker import check_candump, read_candump
@@ -41,6 +42,9 @@ def test_every_node_topic_and_service_has_its_name(chain: Chain) -> None:
         return set(NODES) <= names and all(topics.get(topic) == [kind] for topic, kind in expected.items())
 
     chain.operator.await_that(complete, START_S, "all nodes and topics are there", *NODES)
+    for name in NODES:  # with --with a program of one's own
+        started = Path(f"/proc/{chain.stack.processes[name].popen.pid}/cmdline").read_text().split("\0")
+        assert OWN.get(name, f"fsai_nodes.{name}") in started
     services = dict(node.get_service_names_and_types())
     assert services["/set_mode"] == ["fsai_msgs/srv/SetMode"]
     assert "/emergency_brake" in services and "/reset" in services

@@ -1,0 +1,40 @@
+"""The stack of a rehearsal: which program drives in a node's place."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.cli import hil
+from fsai_hil.rehearsal.stack import Stack
+from fsai_vcu.cli.main import WrongUse
+
+
+@pytest.mark.parametrize(("name", "first"), [("own.py", ""), ("own", "#!/usr/bin/env python3\n")])
+def test_an_own_program_is_started_under_the_nodes_name(tmp_path: Path, name: str, first: str) -> None:
+    own = tmp_path / name
+    own.write_text(f"{first}import sys\nprint('own', *sys.argv[1:])\n")
+    own.chmod(0o755)
+    with Stack("loopback:own", tmp_path / "logs", own={"path_planner": str(own)}) as stack:
+        planner = stack.start_node("path_planner", laps=100)
+        assert planner.wait(30.0) == 0
+        assert planner.log() == "own --ros-args -r __node:=path_planner\n"
+
+
+def test_an_own_program_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").touch()
+    assert hil.own_program("path_planner=own.py") == f"path_planner={tmp_path}/own.py"
+    assert hil.own_program("path_planner=our_stack.planner") == "path_planner=our_stack.planner"
+
+
+@pytest.mark.parametrize(
+    "given", ["own.py", "path_planner", "path_planner=", "vcu_bridge=own.py", "path_planner=no.py"]
+)
+def test_an_own_program_that_is_none_is_refused(given: str) -> None:
+    parser = argparse.ArgumentParser()
+    hil.add_arguments(parser)
+    with pytest.raises(WrongUse, match="--with"):
+        hil.run(hil.parse(parser, ["--with", given]))
