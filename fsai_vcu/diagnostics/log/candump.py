@@ -182,7 +182,7 @@ def _of_shape(
         np.full(len(starts), channels.index(shape.channel), np.int32),
         channels,
     )
-    return frames if ok.all() else frames.only(ok), ok
+    return frames.only(ok), ok
 
 
 def _nibbles(characters: Characters) -> tuple[Characters, Mask]:
