@@ -249,6 +249,7 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
     # Wheels that turned alike within the time that counts have not been odd for all of it.
     inspected = record.at(sig.AMI, t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
     odd = not inspected and not alike[times > t_ns - shown_ns].any()
+    wheels = list(map(messages.WheelSpeeds, *rpm.tolist(), rpm_ns.tolist())) if odd else []
     requests: dict[Any, list[Any]] = {
         one.command: column(Signal(message.dbc_name, one.signal)).astype(one.holds).tolist()
         for message in (messages.AiDriveFront, messages.AiDriveRear, messages.AiBrake)
@@ -261,8 +262,7 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         steer = check_steering(CONFIG, car, steer, asked_deg, measured, now_ns)
         if odd:
             command = messages.AiCommand(**{name: values[row] for name, values in requests.items()})
-            speeds = messages.WheelSpeeds(*rpm[:, row].tolist(), int(rpm_ns[row]))
-            wheel = check_wheels(CONFIG, car, wheel, command, speeds, measured, now_ns)
+            wheel = check_wheels(CONFIG, car, wheel, command, wheels[row], measured, now_ns)
     found = []
     words = f"asked for {asked[-1]:.1f} deg, measured {angle[-1]:.1f} deg"
     for since_ns, reason, can_id, what in (
