@@ -200,7 +200,7 @@ def _measure_channel(
     keys = keys_of(frames)
     few_bits = np.uint16 if keys.max(initial=0) < (1 << 16) - 1 else np.int32  # which are sorted quicker
     order = np.argsort((keys + 1).astype(few_bits), kind="stable")
-    begins = np.flatnonzero(np.diff(keys[order], prepend=-2))
+    begins = _runs(keys[order])
     rows_of = dict(zip(keys[order[begins]].tolist(), np.split(order, begins[1:]), strict=True))
     rows_of.pop(-1, None)
     messages = []
@@ -285,15 +285,18 @@ def _measure_message(
     )
 
 
+def _runs(*columns: npt.NDArray[Any]) -> Ints:
+    """Where each run of rows begins in which all columns stay as they are."""
+    changed = np.ones(len(columns[0]), np.bool_)
+    changed[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
+    return np.flatnonzero(changed)
+
+
 def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
     """(since when, for how long) all columns together stayed as they were, at the longest."""
     if not len(t_ns):
         return 0, 0
-    changed = np.zeros(len(t_ns), np.bool_)
-    changed[0] = True
-    for column in columns:
-        changed[1:] |= column[1:] != column[:-1]
-    begins = np.flatnonzero(changed)
+    begins = _runs(*columns)
     ends = np.append(begins[1:] - 1, len(t_ns) - 1)
     lasted = t_ns[ends] - t_ns[begins]
     longest = int(np.argmax(lasted))
@@ -309,8 +312,9 @@ def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
     """In the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go backwards."""
     if not len(t_ns):
         return 0.0
-    begins = np.flatnonzero(np.diff((t_ns - t_ns[0]) // LOAD_WINDOW_NS, prepend=-1))
-    return float(np.add.reduceat(bits, begins, dtype=np.int64).max()) / (bitrate * LOAD_WINDOW_NS / S)
+    windows = t_ns - t_ns[0]
+    windows //= LOAD_WINDOW_NS
+    return float(np.add.reduceat(bits, _runs(windows), dtype=np.int64).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
 def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDArray[Any]) -> Ints:
