@@ -47,7 +47,7 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     if not len(frames):
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
-    record = Record(frames, decoding.revision, decoding.databases if args.dbc else None)
+    record = Record(frames, decoding.revision, decoding.databases)
     judged = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
     verdict = judged.unread(sources.status, sources.lost_here)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")

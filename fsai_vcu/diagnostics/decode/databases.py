@@ -6,6 +6,7 @@ plain (multiplexed, longer than eight bytes, …) are decoded by cantools.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,6 +99,11 @@ def _load(path: Path) -> tuple[Database, bool]:
 
     Raises DatabaseError.
     """
+    if sys.modules.setdefault("asammdf", None) is None:  # type: ignore[arg-type]
+        # cantools loads python-can, and that asammdf and pandas for its own MF4 reader: half a second, 80 MB.
+        import can  # noqa: F401
+
+        del sys.modules["asammdf"]
     import cantools.database
     from cantools.database.can import Database
 

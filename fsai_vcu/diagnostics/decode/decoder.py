@@ -63,13 +63,13 @@ class Decoder:
         self.databases = databases
         self._layouts = list(databases.layouts.values())
         keys = np.array([*databases.layouts, 0xFFFF_FFFF], np.uint32)
-        self._order = np.argsort(keys)
+        self._order = np.argsort(keys).astype(np.int32)
         self._keys = keys[self._order]
-        self._standard = np.full(MAX_STANDARD_ID + 1, _UNKNOWN)  # a table is quicker than a search
+        self._standard = np.full(MAX_STANDARD_ID + 1, _UNKNOWN, np.int32)  # a table is quicker than a search
         short = keys <= MAX_STANDARD_ID
         self._standard[keys[short]] = np.flatnonzero(short)
 
-    def which(self, frames: Frames) -> npt.NDArray[np.int64]:
+    def which(self, frames: Frames) -> npt.NDArray[np.int32]:
         """For each frame the index of its message; -1: in no database, -2: an error or remote frame."""
         keys = np.where(frames.flags & EXTENDED, frames.can_id | np.uint32(EXTENDED_KEY), frames.can_id)
         index = np.take(self._standard, keys, mode="clip")
@@ -81,9 +81,9 @@ class Decoder:
 
     def by_message(self, frames: Frames) -> Iterator[tuple[MessageLayout | None, Ints]]:
         """(message, rows of its frames in order); None for frames that no database describes."""
-        index = self.which(frames)
-        order = np.argsort((index + 2).astype(np.uint16), kind="stable")
-        counts = np.bincount(index + 2, minlength=2)
+        index = (self.which(frames) + 2).astype(np.uint16)
+        order = np.argsort(index, kind="stable")
+        counts = np.bincount(index, minlength=2)
         at = int(counts[0])
         for number in np.flatnonzero(counts[1:]).tolist():
             count = int(counts[number + 1])

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.decode.decoder import raw_of
+from fsai_vcu.diagnostics.decode.decoder import values_of
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 from fsai_vcu.diagnostics.log.characters import Characters, characters_of
 from fsai_vcu.diagnostics.log.frames import Ints, Words
@@ -61,22 +61,13 @@ class SignalText:
         unit = f" {_one_line(layout.unit)}" if layout.unit and not as_json else ""
         # A word has no unit: where there can be words, the unit belongs to the single text.
         self.behind, self._unit = ("", unit) if self._words else (unit, "")
-        self._scale, self._offset = layout.scale, layout.offset
-        if not layout.is_float and float(self._scale).is_integer() and float(self._offset).is_integer():
-            self._scale, self._offset = int(self._scale), int(self._offset)
-        self._decimals: int | None = None
+        self._decimals = 0
         if rounded and not layout.is_float:
-            places = (-int(Decimal(str(each)).as_tuple().exponent) for each in (self._scale, self._offset))
+            places = (-int(Decimal(str(each)).as_tuple().exponent) for each in (layout.scale, layout.offset))
             self._decimals = max(0, *places)
 
-    def texts(self, raws: Sequence[float]) -> Sequence[str]:
+    def texts(self, raws: Sequence[float], values: Sequence[float]) -> Sequence[str]:
         """The values of these raw numbers, as they are printed."""
-        values = raws
-        if self._scale != 1 or self._offset != 0:
-            scale, offset = self._scale, self._offset
-            values = [raw * scale + offset for raw in raws]
-            if self._decimals is not None:
-                values = [round(value, self._decimals) for value in values]
         if self._words:
             pairs = zip(raws, values, strict=True)
             return [self._words.get(raw, f"{value}{self._unit}") for raw, value in pairs]
@@ -89,7 +80,9 @@ class SignalText:
             distinct, where = np.unique(bits, return_inverse=True)
             return np.take(self._written(distinct), where, axis=0)
         if not self._complete and not (known := np.take(self._known, bits)).all():
-            self._learn(np.unique(bits[~known]) if len(self._known) > _SMALL else np.arange(len(self._known)))
+            # Where many come up, the rest is learned with them.
+            many = 4 * np.count_nonzero(self._known) > len(self._known) or len(self._known) <= _SMALL
+            self._learn(np.flatnonzero(~self._known) if many else np.unique(bits[~known]))
         return np.take(self._table, bits, axis=0)
 
     def _learn(self, fresh: Ints) -> None:
@@ -101,7 +94,11 @@ class SignalText:
         self._complete = bool(self._known.all())
 
     def _written(self, bits: Ints) -> Characters:
-        return characters_of(self.texts(raw_of(self._layout, bits.view(np.uint64)).tolist()))
+        numbers, raw = values_of(self._layout, bits.view(np.uint64))
+        values = numbers.tolist()
+        if self._decimals:
+            values = [round(value, self._decimals) for value in values]
+        return characters_of(self.texts(raw.tolist(), values))
 
 
 class ShortText(SignalText):
@@ -116,8 +113,9 @@ class ShortText(SignalText):
         self._flag = layout.length == 1
         self._alone = layout.name.endswith("_STATE")
 
-    def texts(self, raws: Sequence[float]) -> Sequence[str]:
-        return [self._text(raw, text) if raw else "" for raw, text in zip(raws, super().texts(raws), strict=True)]
+    def texts(self, raws: Sequence[float], values: Sequence[float]) -> Sequence[str]:
+        texts = super().texts(raws, values)
+        return [self._text(raw, text) if raw else "" for raw, text in zip(raws, texts, strict=True)]
 
     def _text(self, raw: float, text: str) -> str:
         if raw in self._words:

@@ -8,6 +8,7 @@ held for 200 ms before the brake comes; everything else brakes at once.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
@@ -29,6 +30,7 @@ from fsai_vcu.diagnostics.explain.incident import (
 )
 from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Span, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.statistics.measure import NEVER_NS
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
 from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS, STANDING_RPM
@@ -164,7 +166,9 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
 
 def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """Why the link was lost."""
-    silence = next((g for g in record.gaps(sig.STATUS, HUNG_NS) if abs((g.end_ns or 0) - t_ns) <= HUNG_NS), None)
+    gaps = record.gaps(sig.STATUS, HUNG_NS)
+    place = bisect_left(gaps, t_ns - HUNG_NS, key=lambda gap: gap.over_ns)
+    silence = gaps[place] if place < len(gaps) and (gaps[place].end_ns or NEVER_NS) <= t_ns + HUNG_NS else None
     if silence is not None and not record.silence_in(silence):
         words = f"the last 0x520 before {ms(silence.length_ns)} of silence; the first one after it reports the loss"
         return [candidate("vcu_hung", sureness, ChainLink(silence.begin_ns, words, sig.STATUS))]
@@ -387,15 +391,17 @@ def early_stops(record: Record) -> Iterator[Incident]:
 
 def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     """AS_DRIVING that was over before it drove, or that the AI computer does not take for a drive of its own."""
+    finished, stood = span.after == sig.FINISHED, idle(record, span.begin_ns, span.end_ns)
+    if not finished and not stood:
+        return
     wheels = record.fastest_wheel.between(span.begin_ns, span.end_ns).values
     asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     if span.before is None or not len(wheels) or not all(map(len, asked)):
         return
-    finished, stood = span.after == sig.FINISHED, idle(record, span.begin_ns, span.end_ns)
     over = record.span_at(sig.MISSION_STATUS, span.end_ns) if finished else None
     over_ns = span.end_ns if over is None else over.begin_ns
     candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
-    if wheels.max() < STANDING_RPM and (finished or stood):
+    if wheels.max() < STANDING_RPM:
         candidates += _start_was_wrong(record, span)
     if stood:
         candidates.append(shown("not_driven", stood))
@@ -409,6 +415,8 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
 
 def idle(record: Record, drive_begin_ns: int, t_ns: int) -> ChainLink | None:
     """Since when, at `t_ns`, the car has stood in AS_DRIVING without being asked for anything, if that is long."""
+    if t_ns - drive_begin_ns < IDLE_NS:
+        return None
     wheels = record.fastest_wheel.between(drive_begin_ns, t_ns)
     asked = [record.series(signal) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     if not len(wheels) or not all(map(len, asked)) or record.at(sig.AMI, t_ns) in INSPECTIONS:

@@ -7,7 +7,6 @@ own checks are run over the log.
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Final
 
@@ -122,14 +121,11 @@ def _silent(record: Record, t_ns: int, gaps: list[Gap], sureness: Sureness) -> C
 
 
 def _handshake(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
-    for answer in record.answers:
-        over_ns = record.end_ns if answer.echo_ns is None else answer.echo_ns
-        due_ns = answer.toggle_ns + COMMS_LOST_NS - EARLY_NS
-        if answer.waited_ns >= COMMS_LOST_NS - EARLY_NS and due_ns <= t_ns and over_ns >= t_ns - AT_ONCE_NS:
-            words = (
-                f"HANDSHAKE becomes {answer.bit}, and 0x510 keeps saying {1 - answer.bit} for {ms(answer.waited_ns)}"
-            )
-            return [candidate("handshake_lost", sureness, ChainLink(answer.toggle_ns, words, 0x520, "HANDSHAKE"))]
+    late_ns = COMMS_LOST_NS - EARLY_NS
+    for toggle_ns, bit, waited_ns in record.answers.late(late_ns):
+        if toggle_ns + late_ns <= t_ns <= toggle_ns + waited_ns + AT_ONCE_NS:
+            words = f"HANDSHAKE becomes {bit}, and 0x510 keeps saying {1 - bit} for {ms(waited_ns)}"
+            return [candidate("handshake_lost", sureness, ChainLink(toggle_ns, words, 0x520, "HANDSHAKE"))]
     return []
 
 
@@ -192,25 +188,22 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
 
 def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
     """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
-    car = record.car
-    times, counts_ns = record.times(0x525), record.times(0x526)
-    rows = range(int(np.searchsorted(times, t_ns - BELIEVED_NS)), int(np.searchsorted(times, t_ns, side="right")))
-    speeds = [record.series(signal).values for signal in sig.WHEELS]
-    pulses = [record.series(signal).values for signal in sig.PULSES]
+    frames: list[Any] = []
+    for kind, can_id, signals in ((messages.WheelCounts, 0x526, sig.PULSES), (messages.WheelSpeeds, 0x525, sig.WHEELS)):
+        times = record.times(can_id)
+        part = slice(*np.searchsorted(times, (t_ns - BELIEVED_NS, t_ns + 1)))
+        columns = [record.series(signal).values[part].astype(np.int64).tolist() for signal in signals]
+        frames += [kind(*each) for each in zip(*columns, times[part].tolist(), strict=False)]
     belief, believed_ns, doubt = WheelBelief(), None, ""
-    place = int(np.searchsorted(counts_ns, t_ns - BELIEVED_NS))
-    for row in rows:
-        now_ns = int(times[row])
-        while place < len(counts_ns) and counts_ns[place] <= now_ns and all(map(len, pulses)):
-            counts = messages.WheelCounts(*(int(column[place]) for column in pulses))
-            belief = on_counts(CONFIG, car, belief, replace(counts, t_rx_ns=int(counts_ns[place])))
-            place += 1
-        turning = messages.WheelSpeeds(*(int(column[row]) for column in speeds))
-        belief, why = on_speeds(CONFIG, belief, replace(turning, t_rx_ns=now_ns))
+    for frame in sorted(frames, key=lambda frame: frame.t_rx_ns):
+        if isinstance(frame, messages.WheelCounts):
+            belief = on_counts(CONFIG, record.car, belief, frame)
+            continue
+        belief, why = on_speeds(CONFIG, belief, frame)
         if why:
             doubt = why
         else:
-            believed_ns = now_ns
+            believed_ns = frame.t_rx_ns
     if not doubt or believed_ns is None or t_ns - believed_ns < patience_ns - SLACK_NS:
         return []
     words = f"{doubt}: 0x525 is not believed for {ms(t_ns - believed_ns)}"
@@ -239,7 +232,7 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
 
 def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: int) -> list[Candidate]:
     """The supervisor's plausibility checks, run over the log up to `t_ns`."""
-    car = record.car
+    car, shown_ns = record.car, patience_ns - 2 * SLACK_NS
     begin_ns = max(drive_begin_ns + CONFIG.launch_wait_ns, t_ns - JUDGED_NS)
     steer, wheel = SteeringCheck(), WheelCheck()
     times = record.times(0x513)
@@ -251,27 +244,32 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         return record.series(signal).sampled(times)
 
     angle, angle_ns, asked = column(sig.ANGLE), record.newest_ns(0x523, times), column(sig.STEER)
-    rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], record.newest_ns(0x525, times)
+    rpm, rpm_ns = np.stack([column(signal) for signal in sig.WHEELS]).astype(np.int64), record.newest_ns(0x525, times)
+    alike = (np.ptp(rpm, axis=0) <= CONFIG.wheel_margin_rpm) & (times - rpm_ns < CONFIG.feedback_stale_ns)
+    # Wheels that turned alike within the time that counts have not been odd for all of it.
+    inspected = record.at(sig.AMI, t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+    odd = not inspected and not alike[times > t_ns - shown_ns].any()
+    wheels = list(map(messages.WheelSpeeds, *rpm.tolist(), rpm_ns.tolist())) if odd else []
     requests: dict[Any, list[Any]] = {
         one.command: column(Signal(message.dbc_name, one.signal)).astype(one.holds).tolist()
         for message in (messages.AiDriveFront, messages.AiDriveRear, messages.AiBrake)
         for one in fields_of(message)
+        if odd
     }
-    inspected = record.at(sig.AMI, t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
-    for row, now_ns in enumerate(times.tolist()):
-        measured = messages.VcuSteer(float(angle[row]), t_rx_ns=int(angle_ns[row]))
-        steer = check_steering(CONFIG, car, steer, float(asked[row]), measured, now_ns)
-        if not inspected:
+    steering = zip(times.tolist(), asked.tolist(), angle.tolist(), angle_ns.tolist(), strict=True)
+    for row, (now_ns, asked_deg, angle_deg, measured_ns) in enumerate(steering):
+        measured = messages.VcuSteer(angle_deg, t_rx_ns=measured_ns)
+        steer = check_steering(CONFIG, car, steer, asked_deg, measured, now_ns)
+        if odd:
             command = messages.AiCommand(**{name: values[row] for name, values in requests.items()})
-            speeds = replace(messages.WheelSpeeds(*(int(column[row]) for column in rpm)), t_rx_ns=int(rpm_ns[row]))
-            wheel = check_wheels(CONFIG, car, wheel, command, speeds, measured, now_ns)
+            wheel = check_wheels(CONFIG, car, wheel, command, wheels[row], measured, now_ns)
     found = []
     words = f"asked for {asked[-1]:.1f} deg, measured {angle[-1]:.1f} deg"
     for since_ns, reason, can_id, what in (
         (steer.implausible_since_ns, Reason.STEERING_IMPLAUSIBLE, 0x523, words),
         (wheel.implausible_since_ns, Reason.WHEEL_IMPLAUSIBLE, 0x525, wheel.detail),
     ):
-        if since_ns is not None and t_ns - since_ns >= patience_ns - 2 * SLACK_NS:
+        if since_ns is not None and t_ns - since_ns >= shown_ns:
             text = f"{what}: implausible for {ms(t_ns - since_ns)}"
             found.append(shown(reason.slug, ChainLink(since_ns, text, can_id)))
     return found

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Final, overload
+from typing import Final, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straightened
+from fsai_vcu.diagnostics.statistics.measure import NEVER_NS, first_echoes
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
@@ -173,14 +174,18 @@ class Gap:
         return f"to the end of the log ({ms(self.length_ns)})" if self.end_ns is None else f"for {ms(self.length_ns)}"
 
 
-@dataclass(frozen=True)
-class HandshakeToggle:
-    """A toggle of the VCU's handshake and the AI computer's echo. `echo_ns` None: it never came."""
+class Answers(NamedTuple):
+    """Toggles of the VCU's handshake as columns. waited_ns: until the AI computer's echo, or else the log's end."""
 
-    toggle_ns: int
-    bit: int
-    echo_ns: int | None
-    waited_ns: int
+    toggle_ns: Ints
+    bit: Ints
+    waited_ns: Ints
+    echoed: Mask
+
+    def late(self, least_ns: int) -> Iterator[tuple[int, int, int]]:
+        """(toggle_ns, bit, waited_ns) of those that waited for so long."""
+        rows = np.flatnonzero(self.waited_ns >= least_ns)
+        return zip(*(column[rows].tolist() for column in self[:3]), strict=True)
 
 
 class Record:
@@ -349,19 +354,14 @@ class Record:
         return any(length_ns > DEAD_SHARE * gap.length_ns for length_ns in shared)
 
     @cached_property
-    def answers(self) -> Sequence[HandshakeToggle]:
+    def answers(self) -> Answers:
         """Every toggle of the VCU's handshake while the AI computer speaks (the first bit counts), and its echo."""
-        asked = self.series(sig.HANDSHAKE)
-        echo = self.series(sig.ECHO)
-        times = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
-        found = []
-        for span in asked.spans[int(np.searchsorted(asked.spans.begin_ns, echo.t_ns[0])) :] if len(echo) else ():
-            bit = int(span.value)
-            first = int(np.searchsorted(times[bit], span.begin_ns))
-            echo_ns = int(times[bit][first]) if first < len(times[bit]) else None
-            waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
-            found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
-        return tuple(found)
+        asked, echo = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO)
+        begin = int(np.searchsorted(asked.begin_ns, echo.t_ns[0])) if len(echo) else len(asked)
+        toggle_ns, bit = asked.begin_ns[begin:], asked.values[begin:].astype(np.int64)
+        echo_ns = first_echoes(toggle_ns, bit, echo.t_ns, echo.values)
+        echoed = echo_ns < NEVER_NS
+        return Answers(toggle_ns, bit, np.where(echoed, echo_ns, self.end_ns) - toggle_ns, echoed)
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:

@@ -235,11 +235,11 @@ def _link(record: Record) -> Iterator[TimelineEntry]:
             if longest.end_ns is not None and gone:
                 yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
     over_ns = 0
-    for answer in record.answers:
-        if answer.waited_ns >= COMMS_LOST_NS and answer.toggle_ns >= over_ns:  # a car that toggles on waits on
-            over_ns = answer.toggle_ns + answer.waited_ns
-            text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
-            yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
+    for toggle_ns, _, waited_ns in record.answers.late(COMMS_LOST_NS):
+        if toggle_ns >= over_ns:  # a car that toggles on waits on
+            over_ns = toggle_ns + waited_ns
+            text = f"the handshake's echo is missing for {ms(waited_ns)} (100 ms are a loss)"
+            yield TimelineEntry(toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
     for other in record.second_senders:
         yield TimelineEntry(other.begin_ns, "intruder", other.sentence, FAULT, other.can_ids[0])
 

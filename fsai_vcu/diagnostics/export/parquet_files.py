@@ -18,6 +18,7 @@ from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
 pa: Any = import_module("pyarrow")  # it ships no types
 pq: Any = import_module("pyarrow.parquet")
 _WAITING: Final = 8  # batches
+_DICTIONARY_BYTES: Final = 4096  # columns of more different values are smaller, and written faster, without one
 
 
 @contextmanager
@@ -30,7 +31,8 @@ def parquet_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[
         def write(rows: Rows) -> None:
             table = rows.table
             if table.name not in writers:
-                writer = pq.ParquetWriter(str(path_of(table)), _schema(table, words=words), compression="zstd")
+                options = {"compression": "zstd", "dictionary_pagesize_limit": _DICTIONARY_BYTES}
+                writer = pq.ParquetWriter(str(path_of(table)), _schema(table, words=words), **options)
                 writers[table.name] = opened.enter_context(writer)
             schema = writers[table.name].schema
             columns = zip(table.columns, rows.values, schema.types[1:], strict=True)

@@ -121,26 +121,26 @@ def _of_shape(
     behind_at = id_at + shape.id_width
     data_at = behind_at + len(shape.behind)
 
-    def columns(at: int, end: int, step: int = 1) -> Characters:
-        """Characters of all lines, a row for each place: what is done to a row is done to all lines at once."""
-        found: Characters = text[starts + np.arange(at, end, step)[:, np.newaxis]]
-        return found
+    width = data_at + (2 if shape.behind == b"#" else 3) * CLASSIC_BYTES + 3
+    lines = np.ndarray((len(text) - width + 1,), f"V{width}", text, strides=(1,))[starts]
+    # A row for each place: what is done to a row is done to all lines at once.
+    columns = np.ascontiguousarray(lines.view(np.uint8).reshape(-1, width).T)
 
     ok: Mask = ends - starts >= data_at
     for at, constant in ((0, shape.before), (between_at, shape.between), (behind_at, shape.behind)):
         expected = np.frombuffer(constant, np.uint8)[:, np.newaxis]
-        ok &= (columns(at, at + len(constant)) == expected).all(axis=0)
+        ok &= (columns[at : at + len(constant)] == expected).all(axis=0)
 
     t_ns = np.zeros(len(starts), np.int64)
     if shape.digits:
         dot = time_at + shape.digits
         ok &= text[starts + dot] == ord(".")
-        digits = np.concatenate([columns(time_at, dot), columns(dot + 1, between_at)]) - np.uint8(ord("0"))
+        digits = np.concatenate([columns[time_at:dot], columns[dot + 1 : between_at]]) - np.uint8(ord("0"))
         ok &= (digits <= 9).all(axis=0)
         t_ns = _number(digits, 10) * 1000
         ok &= (t_ns >= 0) & (t_ns < (MAX_SECONDS + 1) * 1_000_000_000)  # too great a number has become negative
 
-    nibbles, id_ok = _nibbles(columns(id_at, behind_at))
+    nibbles, id_ok = _nibbles(columns[id_at:behind_at])
     ok &= id_ok.all(axis=0)
     can_id = _number(nibbles, 16)
     flags = np.full(len(starts), shape.flags, np.uint8)
@@ -159,12 +159,12 @@ def _of_shape(
         length -= 2 * marked
         ok &= (length >= 0) & (length & 1 == 0)
         length >>= 1
-        high, low = columns(data_at, data_at + 16, 2), columns(data_at + 1, data_at + 17, 2)
+        high, low = columns[data_at : data_at + 16 : 2], columns[data_at + 1 : data_at + 17 : 2]
     else:  # "2]  01 23": a space before each byte, and one more before the first
         characters, length = length, text[starts + data_at].astype(np.int64) - ord("0")
         ok &= (length > 0) & (characters == 3 + 3 * length)
-        ok &= (columns(data_at + 1, data_at + 3) == [[ord("]")], [ord(" ")]]).all(axis=0)
-        spaces, high, low = (columns(data_at + 3 + at, data_at + 27 + at, 3) for at in range(3))
+        ok &= (columns[data_at + 1 : data_at + 3] == [[ord("]")], [ord(" ")]]).all(axis=0)
+        spaces, high, low = (columns[data_at + 3 + at : data_at + 27 + at : 3] for at in range(3))
         ok &= ((spaces == ord(" ")) | (length <= _EIGHT)).all(axis=0)
     ok &= length <= CLASSIC_BYTES
     (high, high_ok), (low, low_ok) = _nibbles(high), _nibbles(low)
@@ -182,20 +182,22 @@ def _of_shape(
         np.full(len(starts), channels.index(shape.channel), np.int32),
         channels,
     )
-    return frames if ok.all() else frames.only(ok), ok
+    return frames.only(ok), ok
 
 
 def _nibbles(characters: Characters) -> tuple[Characters, Mask]:
     """What hexadecimal digits are worth, and whether they are such digits."""
     digit, letter = characters - np.uint8(ord("0")), (characters | np.uint8(0x20)) - np.uint8(ord("a"))
-    return np.where(digit <= 9, digit, letter + np.uint8(10)), (digit <= 9) | (letter <= 5)
+    worth = (characters & np.uint8(15)) + np.uint8(9) * (characters >> np.uint8(6))
+    return worth, (digit <= 9) | (letter <= 5)
 
 
 def _number(digits: Characters, base: int) -> Ints:
     """Of each column of digits, the highest first."""
     number = np.zeros(digits.shape[1], np.int64)
     for row in digits:
-        number = number * base + row
+        number *= base
+        number += row
     return number
 
 

@@ -12,9 +12,12 @@ Part = bytes | Characters
 
 
 def characters_of(texts: Sequence[str]) -> Characters:
-    """One text a row, NUL behind. No text has a line end in it."""
-    array = np.array("\n".join(texts).encode().split(b"\n"))
-    return array.view(np.uint8).reshape(len(array), -1)
+    """One text a row, NUL behind."""
+    try:
+        array = np.array(texts, "S")
+    except UnicodeEncodeError:  # it takes ASCII alone
+        array = np.array([text.encode() for text in texts])
+    return array.view(np.uint8).reshape(len(texts), array.itemsize)
 
 
 def matrix_of(parts: Sequence[Part], count: int) -> Characters:

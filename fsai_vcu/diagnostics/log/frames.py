@@ -112,6 +112,8 @@ class Frames:
 
     def only(self, rows: Mask | Ints) -> Frames:
         """The frames chosen by a mask or by rows in ascending order."""
+        if rows.dtype == np.bool_ and rows.all():
+            return self
         long: dict[int, bytes] = {}
         if self.long:
             chosen = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
@@ -169,6 +171,8 @@ def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
     Small steps are no clock that was set, but frames of two receivers out of order; nor is one where the next frames
     are no earlier than the ones before: then a frame or two were stamped wrongly. They do not move what follows.
     """
+    if (before_ns is None or t_ns[0] >= before_ns) and (t_ns[1:] >= t_ns[:-1]).all():
+        return t_ns, np.zeros_like(t_ns)
     known_ns = np.concatenate(([t_ns[0] if before_ns is None else before_ns], t_ns))
     back_ns = -np.diff(known_ns)
     at = np.flatnonzero(back_ns > OUT_OF_ORDER_NS)[:, None]

@@ -278,9 +278,9 @@ class _Moment:
     def _handshake_waiting_s(self) -> float | None:
         """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or there is none."""
         answers = self._record.answers
-        if not answers or answers[-1].echo_ns is not None or not self._fresh(sig.STATUS):
+        if answers.echoed[-1:].all() or not self._fresh(sig.STATUS):  # of no answers, too
             return None
-        return (self._now_ns - answers[-1].toggle_ns) / S
+        return (self._now_ns - int(answers.toggle_ns[-1])) / S
 
     def _link(self, messages: tuple[MessagePicture, ...]) -> Iterator[str]:
         """What is wrong on the bus itself, the gravest first."""

@@ -127,10 +127,9 @@ def _speeds(record: Record) -> tuple[Curve, ...]:
 
 
 def _handshake(record: Record) -> tuple[Curve, ...]:
-    echoed = [answer for answer in record.answers if answer.echo_ns is not None]
-    times = np.array([answer.toggle_ns for answer in echoed], np.int64)
-    waits = np.array([answer.waited_ns / MS for answer in echoed], np.float64)
-    return (Curve("from toggle to echo", Series(times, waits)),)
+    answers = record.answers
+    waits = Series(answers.toggle_ns[answers.echoed], answers.waited_ns[answers.echoed] / MS)
+    return (Curve("from toggle to echo", waits),)
 
 
 def _load(record: Record) -> Series:

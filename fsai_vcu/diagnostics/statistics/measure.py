@@ -13,19 +13,21 @@ from enum import Enum
 from typing import Any, Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints, straightened
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
-from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
+from fsai_vcu.diagnostics.statistics.wire_bits import Halves, wire_bits
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
 from fsai_vcu.interface.units import MS, S
 
 BITRATE: Final = 500_000  # interface specification v4.0: 500 kbit/s
+NEVER_NS: Final = np.iinfo(np.int64).max
 LOAD_WINDOW_NS: Final = 100 * MS
 
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
@@ -35,6 +37,7 @@ _ENOUGH_INTERVALS = 20
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
 _HIGH_LOAD = 0.7
 _FROZEN_COUNTS_NS = S
+_STATUS, _WHEELS = {"VCU2AI_Status", "AI2VCU_Status"}, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"}
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
 
@@ -53,9 +56,9 @@ def as_json(value: Any, digits: int) -> Any:
     return as_json(asdict(value), digits) if is_dataclass(value) else value  # type: ignore[arg-type]
 
 
-def keys_of(frames: Frames) -> Ints:
+def keys_of(frames: Frames) -> npt.NDArray[np.int32]:
     """The key of each frame's message (layouts.EXTENDED_KEY); -1 for error frames."""
-    keys = frames.can_id.astype(np.int64)
+    keys = frames.can_id.astype(np.int32)
     keys[(frames.flags & EXTENDED) != 0] |= EXTENDED_KEY
     keys[(frames.flags & ERROR) != 0] = -1
     return keys
@@ -173,8 +176,8 @@ def measure(
     revision: whose periods of the bus table count for its messages; None: only those of the databases.
     """
     found = []
-    for index in np.unique(frames.channel).tolist():
-        of_channel = frames.only(frames.channel == index) if len(frames.channels) > 1 else frames
+    for index in np.flatnonzero(np.bincount(frames.channel)).tolist():
+        of_channel = frames.only(frames.channel == index)
         rate = bitrate or decoder.databases.baudrate or BITRATE
         found.append(_measure_channel(of_channel, frames.channels[index], decoder, revision, rate))
     return found
@@ -183,9 +186,8 @@ def measure(
 def _measure_channel(
     frames: Frames, channel: str, decoder: Decoder, revision: str | None, bitrate: int
 ) -> BusStatistics:
-    steps_ns = np.diff(frames.t_ns)
-    backwards = int((steps_ns < -MS).sum())  # less is two frames stamped on two processors
-    if (steps_ns < 0).any():
+    backwards = int((frames.t_ns[1:] < frames.t_ns[:-1] - MS).sum())  # less is two frames stamped on two processors
+    if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
         frames = frames.at(frames.t_ns + np.cumsum(straightened(frames.t_ns)[1]))  # the steps of a clock that was set
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
     duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
@@ -195,18 +197,19 @@ def _measure_channel(
     for row in np.flatnonzero(errors).tolist():
         words[", ".join(error_words(int(frames.can_id[row]), frames.payload(row)))] += 1
     layouts = decoder.databases.layouts
-    messages = []
     keys = keys_of(frames)
-    few_bits = np.uint16 if keys.max(initial=0) < (1 << 16) - 1 else np.int64  # which are sorted quicker
+    few_bits = np.uint16 if keys.max(initial=0) < (1 << 16) - 1 else np.int32  # which are sorted quicker
     order = np.argsort((keys + 1).astype(few_bits), kind="stable")
-    keys = keys[order]
-    begins = np.flatnonzero(np.diff(keys, prepend=-2))
-    distinct = keys[begins]
-    for key, rows in zip(distinct.tolist(), np.split(order, begins[1:]), strict=True):
-        if key >= 0:
-            expected_ns = expected_period_ns(key, layouts.get(key), revision)
-            messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
-    received = set(distinct.tolist())
+    begins = _runs(keys[order])
+    rows_of = dict(zip(keys[order[begins]].tolist(), np.split(order, begins[1:]), strict=True))
+    rows_of.pop(-1, None)
+    messages = []
+    for key, rows in rows_of.items():
+        expected_ns = expected_period_ns(key, layouts.get(key), revision)
+        messages.append(_measure_message(frames, rows, bits[rows], layouts.get(key), expected_ns, duration_ns, bitrate))
+    compared = [rows for key, rows in rows_of.items() if key in layouts and layouts[key].name in _STATUS | _WHEELS]
+    few = frames.only(np.sort(np.concatenate([order[:0], *compared])))
+    received = set(rows_of)
     described = {} if received.isdisjoint(layouts) else layouts
     silent = {key: layout for key, layout in described.items() if key not in received}
     return BusStatistics(
@@ -219,8 +222,8 @@ def _measure_channel(
         load=share(bits, duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
         bitrate=bitrate,
-        handshake=handshake_of(frames, decoder),
-        frozen_counts=tuple(_frozen_counts(decoder.tables(frames, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"}))),
+        handshake=handshake_of(few, decoder),
+        frozen_counts=tuple(_frozen_counts(decoder.tables(few, _WHEELS))),
         backwards=backwards,
     )
 
@@ -236,17 +239,18 @@ def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | N
 def _measure_message(
     frames: Frames,
     rows: Ints,
-    bits: Ints,
+    bits: Halves,
     layout: MessageLayout | None,
     expected_ns: int | None,
     duration_ns: int,
     bitrate: int,
 ) -> MessageStatistics:
-    t_ns, word, length = frames.t_ns[rows], frames.word[rows], frames.length[rows]
+    t_ns, word, length, flags = frames.t_ns[rows], frames.word[rows], frames.length[rows], frames.flags[rows]
+    ordered = np.sort(word)
     intervals = np.diff(t_ns)
     typical_ns = expected_ns or quantile(np.sort(intervals), 0.5) or 0  # type: ignore[arg-type]
     timed = duration_ns > 0 and typical_ns > 0
-    remote = (frames.flags[rows] & REMOTE) != 0
+    remote = (flags & REMOTE) != 0
     no_pauses = intervals[intervals < _LOST_PERIODS * typical_ns]
     wrong: dict[int, int] = {}
     if layout is not None:
@@ -256,7 +260,7 @@ def _measure_message(
     can_id = int(frames.can_id[rows[0]])
     return MessageStatistics(
         can_id=can_id,
-        extended=bool(frames.flags[rows[0]] & EXTENDED),
+        extended=bool(flags[0] & EXTENDED),
         name=layout.name if layout else None,
         count=len(rows),
         first_s=int(t_ns[0]) / S,
@@ -264,7 +268,7 @@ def _measure_message(
         expected_length=layout.length if layout else None,
         wrong_lengths=wrong,
         remote=int(remote.sum()),
-        sent=int(((frames.flags[rows] & SENT) != 0).sum()),
+        sent=int(((flags & SENT) != 0).sum()),
         expected_ms=expected_ns / MS if expected_ns else None,
         interval_ms=TimeSpread.of(intervals if timed else intervals[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
@@ -275,43 +279,56 @@ def _measure_message(
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         silent_ms=int(frames.t_ns[-1] - t_ns[-1]) / MS,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
-        payloads=1 + int(np.count_nonzero(np.diff(np.sort(word)))),
-        bits=int(bits[rows].sum()),
-        load=share(bits[rows], duration_ns, bitrate),
+        payloads=1 + int((ordered[1:] != ordered[:-1]).sum()),
+        bits=int(bits.sum()),
+        load=share(bits, duration_ns, bitrate),
     )
+
+
+def _runs(*columns: npt.NDArray[Any]) -> Ints:
+    """Where each run of rows begins in which all columns stay as they are."""
+    changed = np.ones(len(columns[0]), np.bool_)
+    changed[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
+    return np.flatnonzero(changed)
 
 
 def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
     """(since when, for how long) all columns together stayed as they were, at the longest."""
     if not len(t_ns):
         return 0, 0
-    changed = np.zeros(len(t_ns), np.bool_)
-    changed[0] = True
-    for column in columns:
-        changed[1:] |= column[1:] != column[:-1]
-    begins = np.flatnonzero(changed)
+    begins = _runs(*columns)
     ends = np.append(begins[1:] - 1, len(t_ns) - 1)
     lasted = t_ns[ends] - t_ns[begins]
     longest = int(np.argmax(lasted))
     return int(t_ns[begins[longest]]), int(lasted[longest])
 
 
-def share(bits: Ints, duration_ns: int, bitrate: int) -> float:
+def share(bits: Halves, duration_ns: int, bitrate: int) -> float:
     """Of that time on the wire."""
     return int(bits.sum()) / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
-def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
+def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
     """In the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go backwards."""
     if not len(t_ns):
         return 0.0
-    begins = np.flatnonzero(np.diff((t_ns - t_ns[0]) // LOAD_WINDOW_NS, prepend=-1))
-    return float(np.add.reduceat(bits, begins).max()) / (bitrate * LOAD_WINDOW_NS / S)
+    windows = t_ns - t_ns[0]
+    windows //= LOAD_WINDOW_NS
+    return float(np.add.reduceat(bits, _runs(windows), dtype=np.int64).max()) / (bitrate * LOAD_WINDOW_NS / S)
+
+
+def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDArray[Any]) -> Ints:
+    """When each bit was first sent back from its toggle on; NEVER_NS where it was not."""
+    first_ns = np.full(len(toggle_ns), NEVER_NS)
+    for bit in (0, 1):
+        times = np.append(echo_ns[echo_bits == bit], NEVER_NS)
+        first_ns[bits == bit] = times[np.searchsorted(times, toggle_ns[bits == bit])]
+    return first_ns
 
 
 def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards."""
-    tables = decoder.tables(frames, {"VCU2AI_Status", "AI2VCU_Status"})
+    tables = decoder.tables(frames, _STATUS)
     both = [tables[name].series.get("HANDSHAKE") for name in ("VCU2AI_Status", "AI2VCU_Status") if name in tables]
     bits = [(series.t_ns, series.raw) for series in both if series is not None and len(series.t_ns)]
     if len(bits) < 2:
@@ -319,17 +336,13 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     (asked_ns, asked_bits), (answer_ns, answer_bits) = bits
     # The very first bit asks for an answer too. Where no 0x510 came for 100 ms there is nobody who could give one.
     toggles = np.append(0, np.flatnonzero(asked_bits[1:] != asked_bits[:-1]) + 1)
-    next_ns = np.append(asked_ns[toggles[1:]], np.iinfo(np.int64).max)
+    next_ns = np.append(asked_ns[toggles[1:]], NEVER_NS)
     stood_ns = int(np.diff(np.append(asked_ns[toggles], asked_ns[-1])).max())
     before = np.searchsorted(answer_ns, asked_ns[toggles], side="right") - 1
     alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < COMMS_LOST_NS)
     toggles, next_ns = toggles[alive], next_ns[alive]
     toggle_ns, toggle_bits = asked_ns[toggles], asked_bits[toggles]
-    first_ns = np.full(len(toggles), np.iinfo(np.int64).max)
-    for bit in (0, 1):
-        times = np.append(answer_ns[answer_bits == bit], np.iinfo(np.int64).max)
-        mine = toggle_bits == bit
-        first_ns[mine] = times[np.searchsorted(times, toggle_ns[mine])]
+    first_ns = first_echoes(toggle_ns, toggle_bits, answer_ns, answer_bits)
     in_time = first_ns < next_ns
     if 2 * in_time.sum() < len(in_time):
         # Echoes a cycle late come when a VCU that does not wait for them has toggled again. Where most come at once,

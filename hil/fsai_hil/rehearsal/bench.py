@@ -234,7 +234,7 @@ def bench_logs(effort: Effort) -> list[Row]:
     """Logs read to text beside cantools' own command line, to values, to tables, and to a verdict.
 
     One with random payloads of every message, and one as it is recorded: a drive, again and again. Wall time, for
-    `decode` works on all processors; each command with its start, which of a short log is most of it.
+    Parquet is packed beside the rest; each command with its start, which of a short log is most of it.
     """
     rows = []
     for kind, made in (("random", random_frames), ("recorded", recorded_frames))[: 2 if effort is FULL else 1]:
