@@ -18,13 +18,12 @@ from functools import cache, lru_cache
 from numbers import Real
 from operator import attrgetter, call, itemgetter, truediv
 from pathlib import Path
-from typing import Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 try:
     import bitstruct.c as bitstruct
 except ImportError:  # a machine for which it is not compiled
     import bitstruct
-from cantools.database.can import Database, Message, Signal
 
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.database import DatabaseError, dbc_dir, load_database
@@ -33,6 +32,9 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import COMMAND_FIELDS, MESSAGES, AiCommand, AiImage, Image, VcuStatus
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
 
 _UNIT_SUFFIXES = ("_Nm", "_rpm", "_deg", "_kmh", "_pct")
 _DBC_NAME_LENGTH = 32  # longer names are cut by the tools that official files come from

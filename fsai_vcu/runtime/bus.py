@@ -20,8 +20,8 @@ from pathlib import Path
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import RESERVED_IDS
+from fsai_vcu.lean_can import can
 from fsai_vcu.runtime.clocks import StampConverter
-from fsai_vcu.runtime.lean_can import can
 
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN, None}
 _SEND_BUFFER_BYTES = 4096  # doubled by the kernel: about ten frames of 768 bytes

@@ -17,7 +17,7 @@ import time
 import zlib
 from typing import Any
 
-from fsai_vcu.runtime.lean_can import can
+from fsai_vcu.lean_can import can
 
 _HEADER = struct.Struct("!4s8sdIB")  # magic, sender, wall-clock time, id with SocketCAN's flags, length
 _MAGIC = b"fsv1"

@@ -68,6 +68,11 @@ def test_ten_laps_are_ten_with_or_without_drift_and_gate(gate: bool, drift: floa
     assert circling(10.5, drift, gate).laps == 10
 
 
+@pytest.mark.parametrize("gate", [False, True])
+def test_a_passage_says_whether_its_gate_was_seen(gate: bool) -> None:
+    assert circling(2.2, 5.0, gate).sighted == gate
+
+
 def test_standing_on_the_line_and_rocking_over_it_counts_once() -> None:
     state = staged(Motion(), 8.0)
     distance = 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor
 from fsai_hil.simulator.tracks import Track, random_circuit, small_oval
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.planning import cone_map
+from fsai_vcu.core.planning.cone_map import located
 from fsai_vcu.core.planning.pose import lengths_along
 from fsai_vcu.core.planning.race_line import MARGIN_M, LineSearch, RaceLine
 
@@ -115,6 +118,18 @@ def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     ride.motion = replace(elsewhere, x_m=elsewhere.x_m + 40.0, yaw_rad=elsewhere.yaw_rad + 1.0)
     plans = [ride.step() for _ in range(8)]
     assert not plans[-1].mapped and "map" in plans[-1].note
+
+
+def test_a_map_closed_at_the_wrong_place_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    def elsewhere(*given: Any) -> Motion | None:
+        found = located(*given)
+        return found and replace(found, x_m=found.x_m + 2.0)
+
+    monkeypatch.setattr(cone_map, "located", elsewhere)
+    ride = Ride(WINDING)
+    while "given up" not in (plan := ride.step()).note:
+        assert plan.laps < 2 and clearance_m(ride.pose, WINDING.cones_xy_m) > 0.05
+    assert not plan.mapped and not ride.step().mapped
 
 
 def test_confidence_falls_as_looks_do_not_confirm_the_map() -> None:

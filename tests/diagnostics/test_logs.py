@@ -52,7 +52,7 @@ def read(path: Path) -> list[LogFrame]:
 
 
 def writer_of(path: Path, **options: Any) -> can.Logger | can.MF4Writer:
-    """python-can's; that of MF4 is switched off in a process of ours (fsai_vcu.runtime.lean_can)."""
+    """python-can's; that of MF4 is switched off in a process of ours (fsai_vcu.lean_can)."""
     return can.Logger(path, **options) if path.suffix != ".mf4" else reload(can.io.mf4).MF4Writer(path, **options)
 
 

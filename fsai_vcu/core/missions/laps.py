@@ -20,6 +20,7 @@ PASSED_M = 6.0  # further behind it than this the car has not just passed it
 BEFORE_M = 0.3
 GATE_SHIFT_M = 3.0  # how far the middle of a gate may move from one sighting to the next …
 DRIFT_MAX = 0.08  # … and by how much more of the way driven meanwhile
+SIGHTED_M = 10.0  # of way in which a gate passed was seen right before
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,7 @@ class LapState(Immutable):
     passages: int = 0
     armed: bool = False
     passed_at_m: float | None = None  # distance driven at the last passage
+    sighted: bool = False  # then, the line was where its gate had been seen right before
 
     @property
     def laps(self) -> int:
@@ -98,9 +100,10 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < lap_min_m:
         return state
     line = state.line
+    sighted = line.seen and blind_m < SIGHTED_M
     if blind_m > 0.5 * lap_min_m:
         line = Line(motion.x_m, motion.y_m, motion.yaw_rad, seen=line.seen, at_distance_m=motion.distance_m)
-    return LapState(line, state.passages + 1, armed=False, passed_at_m=motion.distance_m)
+    return LapState(line, state.passages + 1, armed=False, passed_at_m=motion.distance_m, sighted=sighted)
 
 
 class LapCounter:

@@ -55,12 +55,11 @@ def resampled_ring(line_m: Floats, step_m: float) -> Floats:
 
 
 def ring_curvature(line_m: Floats) -> Floats:
-    """(N,) signed curvature of a closed, evenly sampled line, 1/m (left positive)."""
-    ahead, behind = np.roll(line_m, -1, axis=0), np.roll(line_m, 1, axis=0)
-    first = (ahead - behind) / 2.0
-    second = ahead - 2.0 * line_m + behind
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    return np.asarray(cross / np.maximum(1e-9, np.hypot(first[:, 0], first[:, 1])) ** 3)
+    """(N,) signed curvature of a closed, evenly sampled line, 1/m (left positive), over two steps to each side."""
+    ring = line_m @ (1.0, 1j)
+    along = np.roll(ring, -1) - np.roll(ring, 1)
+    turn = np.angle(np.roll(along, -1) * np.roll(along, 1).conj())
+    return np.asarray(turn / (2.0 * np.abs(ring - np.roll(ring, 1)).mean()))
 
 
 def headings_along(path_m: Floats) -> tuple[Floats, Floats]:

@@ -21,11 +21,15 @@ CLOSING_M = (10.0, 40.0)  # beyond the line: by then the lap's first cones are s
 SEARCH_EVERY_M = 2.0
 GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
+ON_LINE = "a cone stands on the race line"
 STEADY = 10  # observations in a row that allow the line before it is joined
 JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
 BEHIND_JOINING = 20  # points of the line: so little behind the place where it joined the car is before it
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
 LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
+# A map that was closed at the wrong place: so much way with cones on its line, of which each metre along it makes some
+# forgotten.
+CONTRADICTED_M, FORGOTTEN = 20.0, 0.1
 BESIDE_M, BESIDE_PER_M = 0.05, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
 
 
@@ -41,7 +45,8 @@ class Racing:
         self._joined_at: int | None = None
         self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
         self._steady = 0
-        self._searched_at_m = motion.distance_m
+        self._searched_at_m = self._looked_at_m = motion.distance_m
+        self._contradicted_m = 0.0
         self.note = ""
 
     @property
@@ -81,7 +86,7 @@ class Racing:
         if not beyond or not self._may_search(motion):
             return state
         drift, doubt_m = (0.0, 0.0), LOST_M
-        if _gate_seen(begun) and _gate_seen(ended):
+        if begun.sighted and ended.sighted:
             drift, doubt_m = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m), GATE_DOUBT_M
         if not self._map.close(begun.passed_at_m, ended.passed_at_m, drift, doubt_m):
             return state
@@ -90,12 +95,22 @@ class Racing:
     def path(self, cones_xy_m: Floats, here: Motion) -> Floats:
         """(M, 2) the way on along the race line, in the vehicle frame; nothing where it cannot be trusted.
 
-        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map.
+        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map, and where it does so
+        for long, the map is not used any more.
         """
+        if self._contradicted_m > CONTRADICTED_M:
+            self.note = "the map is given up: cones stood on its race line"
+            return NO_PATH
         self._look_for_line()
         path, self.note = self._along_line(cones_xy_m, here)
         if self.note:
             self._joined_at, self._steady = None, 0
+        since_m = here.distance_m - self._looked_at_m
+        self._looked_at_m = here.distance_m
+        if self.note == ON_LINE:
+            self._contradicted_m += since_m
+        elif len(path):
+            self._contradicted_m = max(0.0, self._contradicted_m - FORGOTTEN * since_m)
         return path
 
     def _look_for_line(self) -> None:
@@ -130,18 +145,12 @@ class Racing:
         news = cones_xy_m[line.news(to_odometry(here, cones_xy_m))]
         beside = BESIDE_M - BESIDE_PER_M * np.hypot(news[:, 0], news[:, 1])
         if not clear(path[: round(LOOK_M / line.step_m)], news, beside, self._car):
-            return NO_PATH, "a cone stands on the race line"
+            return NO_PATH, ON_LINE
         self._steady += 1
         if self._steady < STEADY:
             return NO_PATH, ""
         self._joined_at = joined_at
         return path, ""
-
-
-def _gate_seen(passage: LapState) -> bool:
-    """The line was passed where its gate had been seen right before."""
-    at_m = passage.line.at_distance_m
-    return passage.line.seen and passage.passed_at_m is not None and 0.0 < passage.passed_at_m - at_m < CLOSING_M[0]
 
 
 def _joining(left_m: float, turned_rad: float, length_m: float, step_m: float) -> Floats:

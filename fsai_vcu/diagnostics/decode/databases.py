@@ -6,7 +6,6 @@ plain (multiplexed, longer than eight bytes, …) are decoded by cantools.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,15 +98,10 @@ def _load(path: Path) -> tuple[Database, bool]:
 
     Raises DatabaseError.
     """
-    if sys.modules.setdefault("asammdf", None) is None:  # type: ignore[arg-type]
-        # cantools loads python-can, and that asammdf and pandas for its own MF4 reader: half a second, 80 MB.
-        import can  # noqa: F401
-
-        del sys.modules["asammdf"]
-    import cantools.database
-    from cantools.database.can import Database
-
     from fsai_vcu.interface.database import DatabaseError, check_whole, make_flags_unsigned
+
+    import cantools.database  # isort: skip  after ours, which see to it that it loads no more than it needs
+    from cantools.database.can import Database  # isort: skip
 
     try:
         text = path.read_text(encoding="cp1252", errors="replace")

@@ -177,7 +177,7 @@ class Log:
             self.problems.add(f"{self.name}: not readable as {self.kind} after frame {read}: {_why(error)}")
 
     def _reader(self) -> Iterator[can.Message]:
-        import fsai_vcu.runtime.lean_can  # noqa: F401  before any other part of python-can
+        import fsai_vcu.lean_can  # noqa: F401  before any other part of python-can
 
         if self.kind == "BLF":
             from can.io.blf import BLFReader
