@@ -54,12 +54,12 @@ def resampled_ring(line_m: Floats, step_m: float) -> Floats:
     return np.column_stack((np.interp(at, along, ring[:, 0]), np.interp(at, along, ring[:, 1])))
 
 
-def ring_curvature(line_m: Floats) -> Floats:
-    """(N,) signed curvature of a closed, evenly sampled line, 1/m (left positive), over two steps to each side."""
+def ring_curvature(line_m: Floats, over: int = 1) -> Floats:
+    """(N,) signed curvature of a closed, evenly sampled line, 1/m (left positive): its turn over so many steps."""
     ring = line_m @ (1.0, 1j)
-    along = np.roll(ring, -1) - np.roll(ring, 1)
-    turn = np.angle(np.roll(along, -1) * np.roll(along, 1).conj())
-    return np.asarray(turn / (2.0 * np.abs(ring - np.roll(ring, 1)).mean()))
+    chord = np.roll(ring, -over) - ring
+    turn = np.angle(chord * np.roll(chord, over).conj())
+    return np.asarray(turn / (over * np.abs(np.roll(ring, -1) - ring).mean()))
 
 
 def headings_along(path_m: Floats) -> tuple[Floats, Floats]:

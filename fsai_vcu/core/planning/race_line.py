@@ -180,7 +180,7 @@ def _bounds(
     dx, dy = (cones_xy_m[cone] - line[at]).T
     lateral = dy * cos[at] - dx * sin[at]
     half = 0.5 * car.width_m + CONE_RADIUS_M + MARGIN_M
-    curvature = ring_curvature(line)
+    curvature = ring_curvature(line, over=2)  # over one its noise would narrow the lane in a hairpin
     bounds = []
     for side in (1.0, -1.0):
         mine = side * lateral > 0.0
