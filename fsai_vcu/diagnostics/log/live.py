@@ -59,7 +59,8 @@ class Listener:
 
     @property
     def dropped(self) -> int:
-        return self._dropped + (self._bus.dropped() if self._bus is not None else 0)
+        bus = self._bus  # the thread may leave it meanwhile
+        return self._dropped + (bus.dropped() if bus is not None else 0)
 
     def start(self) -> None:
         self._thread.start()

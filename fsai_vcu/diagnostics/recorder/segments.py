@@ -60,7 +60,7 @@ class SegmentFolder:
         self._lock: IO[bytes] | None = None
         self.number = 0
         if self.single:
-            for kind in (".log", ".mcap", ".json"):
+            for kind in _KINDS:
                 if self.file(kind).exists():
                     raise UserError(f"{self.file(kind)} is there already; name another file, or a folder to go on in")
         else:
