@@ -23,6 +23,7 @@ from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.rules.checker import RULES
 from fsai_hil.simulator.as_machine import transition_table
 from fsai_hil.simulator.profiles import SPECIFICATION
+from fsai_nodes.composed import CLASSES
 from fsai_nodes.qos import FRAMES, TOPICS
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.supervision.config import BridgeConfig
@@ -45,14 +46,6 @@ from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.configuration import KEYS
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-NODES: Final = (
-    "sensor_simulator",
-    "cone_detector",
-    "path_planner",
-    "vehicle_controller",
-    "vcu_bridge",
-    "visualization",
-)
 EVIDENCE: Final = ROOT / "docs" / "evidence"
 BLOCK: Final = re.compile(r"(<!-- made: (\w+) -->\n).*?(<!-- /made -->)", re.DOTALL)
 
@@ -251,7 +244,7 @@ def keys() -> str:
 def parameters() -> str:
     rows = (
         (node, f"`{one.name}`", f"`{_value(one.default)}`", _range(one), one.description, "live" if one.live else "")
-        for node in (*NODES, "eufs_adapter")
+        for node in (*CLASSES, "eufs_adapter")
         for one in import_module(f"fsai_nodes.{node}").SETTINGS
     )
     return _table(("node", "parameter", "default", "may be", "meaning", ""), rows)
@@ -261,7 +254,7 @@ def _interface() -> Iterator[tuple[str, str, str, str, str]]:
     """What a node makes: its name; publisher, subscription, service or ActionServer; the name and the type that others
     see; what is said of the function that is called.
     """
-    for node in NODES:
+    for node in CLASSES:
         source = ROOT / "nodes" / "fsai_nodes" / "fsai_nodes" / f"{node}.py"
         tree = list(ast.walk(ast.parse(source.read_text(encoding="utf-8"))))
         imports = [

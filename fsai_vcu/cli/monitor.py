@@ -33,9 +33,9 @@ age; on pages of their own messages with their bytes, signals, and the history o
 events. It never sends. Ctrl-C or q ends it, space holds the picture, ? shows all
 keys. A log is shown as it stood at its end, or at a moment, or played, with what
 check finds up to there; the keys move in it. Exit status: of a log as for check,
-of a bus or a pipe that is played 1 where something could not be read; 2 wrong use. Where the output is no
-terminal, and with --plain, a line a second is printed. The pages need textual
-(pip install 'fsai-vcu[monitor]')."""
+of a bus or a pipe that is played 1 where something could not be read; 2 wrong
+use. Where the output is no terminal, and with --plain, a line a second is
+printed. The pages need textual (pip install 'fsai-vcu[monitor]')."""
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
