@@ -524,6 +524,8 @@ def test_modes_are_accepted_or_refused_by_as_state(as_state: AsState) -> None:
     state, done, message = supervisor.set_mode(CONFIG, before, "autonomous", T0)
     if as_state in (INIT, OFF, READY):
         assert (done, message, state.mode) == (True, "mode is autonomous", Mode.AUTONOMOUS)
+        at_power_up = supervisor.set_mode(CONFIG, replace(before, power_up=True), "autonomous", T0)[0]
+        assert not at_power_up.power_up, "a person has chosen"
     else:
         assert (done, state) == (False, before)
         assert message == f"autonomous refused in {as_state.label}: accepted in AS_INIT, AS_OFF and AS_READY only"
@@ -535,6 +537,8 @@ def test_modes_are_accepted_or_refused_by_as_state(as_state: AsState) -> None:
     assert message == ("mode is manual: the car is being stopped" if as_state is DRIVING else "mode is manual")
 
 
+STOP = Latch(Asked.MANUAL, T0)
+STOPPED = f"but the car is being stopped because {STOP.words}"
 LATCHED = "but the emergency brake is latched because the emergency brake was asked for: smoke"
 
 
@@ -550,6 +554,15 @@ LATCHED = "but the emergency brake is latched because the emergency brake was as
         *(
             (supervisor.ask_emergency(state, Asked.OPERATOR, "smoke", T0), 0, "autonomous", CONFIG, True, LATCHED)
             for state in (manual(), chosen())
+        ),
+        (replace(chosen(), stop=STOP), 0, "autonomous", CONFIG, True, f"mode is autonomous already, {STOPPED}"),
+        (
+            supervisor.ask_emergency(replace(chosen(), stop=STOP), Asked.OPERATOR, "smoke", T0),
+            0,
+            "autonomous",
+            CONFIG,
+            True,
+            LATCHED,
         ),
     ],
 )
