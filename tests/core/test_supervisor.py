@@ -622,6 +622,12 @@ def test_a_lost_mode_returns_only_at_the_next_power_up(lost_by: str) -> None:
         assert supervise(POWER_UP, later, Inputs(t_ns))[0].mode is mode
 
 
+def test_a_power_cycle_is_over_with_the_first_believed_status() -> None:
+    silent = supervisor.received(CONFIG, receive(SupervisorState(), OFF, T0), T0 + 2 * S)  # what came is doubted
+    believed = receive(silent, OFF, T0 + 2 * S + 10 * MS)
+    assert silent.was_silent and not believed.was_silent
+
+
 # ---------------------------------------------------------------- the emergency latch
 
 
