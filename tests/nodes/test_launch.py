@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from fsai_nodes import composed
 from fsai_nodes.launch import PARAMETERS, Program, arguments, programs
 
 CHECKOUT = Path(__file__).parents[2]
@@ -125,5 +127,12 @@ def test_without_launch_the_arguments_are_listed_and_checked() -> None:
 
     listed = launched("--show-args")
     assert listed.returncode == 0 and all(f"\n{each.name}:={each.default}\n" in listed.stdout for each in arguments())
-    refused = launched("zebra:=1")
-    assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and "zebra" in refused.stderr
+    for word in ("zebra:=1", "rviz:=true"):
+        refused = launched(word)
+        assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word[:4] in refused.stderr
+
+
+def test_each_executable_lies_where_ros2_run_looks() -> None:
+    folder = Path(sys.prefix, "lib", "fsai_nodes")
+    assert {*composed.CLASSES, "composed", "eufs_adapter"} == {each.name for each in folder.iterdir()}
+    assert all(os.access(each, os.X_OK) for each in folder.iterdir())

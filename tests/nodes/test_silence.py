@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from fsai_msgs.msg import ConeArray, VehicleCommand
@@ -26,6 +27,20 @@ warnings, errors = (partial(logged, level=level) for level in (30, 40))  # of rc
 
 
 # ---------------------------------------------------------------- the words
+
+
+def test_a_publisher_is_named_once_its_node_is_known() -> None:
+    named = ["_NODE_NAME_UNKNOWN_"]
+    node = SimpleNamespace(
+        resolve_topic_name=lambda topic: f"/{topic}",
+        get_publishers_info_by_topic=lambda _: [SimpleNamespace(node_name=each) for each in named],
+    )
+    topic = Input(node, "path")
+    assert topic.who() == "/path"
+    named.append("path_planner")
+    assert topic.who() == "/path of path_planner"
+    named.pop()
+    assert topic.who() == "/path of path_planner"
 
 
 def test_silence_and_old_data_are_told_with_topic_and_node(rig: RosRig) -> None:

@@ -12,14 +12,14 @@ import yaml
 from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, VehicleState
 from nav_msgs.msg import Path
 from ros_rig import RosRig, ScriptedVcu
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fsai_nodes import qos
 from fsai_nodes.conversions import path_to_msg
 from fsai_nodes.vcu_bridge import VcuBridge
-from fsai_nodes.visualization import RGB, Visualization, path_markers, remembered
+from fsai_nodes.visualization import RGB, Visualization, driven_marker, path_markers, remembered
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 from fsai_vcu.interface.enums import Ami, AsState
@@ -41,6 +41,7 @@ def test_cones_are_seen_in_their_colours_and_then_remembered(rig: RosRig) -> Non
     received = rig.subscribe(MarkerArray, "/markers", qos.VIEW)
     states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.STATE)
     cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
+    raw = rig.tester.create_publisher(ConeArray, "/raw_cones", qos.SENSOR)
 
     def published(run_id: int, x: float, *seen: Cone) -> dict[str, Marker]:
         state, array = VehicleState(run_id=run_id, x=x, as_state_label="AS_DRIVING"), ConeArray(cones=list(seen))
@@ -48,12 +49,14 @@ def test_cones_are_seen_in_their_colours_and_then_remembered(rig: RosRig) -> Non
         states.publish(state)
         rig.turns()
         cones.publish(array)
+        raw.publish(array)
         return by_name(received[-1]) if received else {}
 
     pair = Cone(x=4.0, y=1.5, color=Cone.BLUE, confidence=0.9), Cone(x=4.0, y=-1.5, color=Cone.YELLOW, confidence=0.9)
     rig.spin_until(lambda: len(published(7, 10.0, *pair).get("cones", Marker()).points) == 2, "two cones")
     now = by_name(received[-1])
     assert [(p.x, p.y) for p in now["cones"].points] == [(4.0, 1.5), (4.0, -1.5)]
+    assert now["raw cones"].points == now["cones"].points and now["raw cones"].scale.x < now["cones"].scale.x
     assert [rgb(c) for c in now["cones"].colors] == [RGB[ConeColor.BLUE], RGB[ConeColor.YELLOW]]
     assert "AS_DRIVING" in now["words"].text and len(now["car"].points) == 5
 
@@ -66,6 +69,8 @@ def test_cones_are_seen_in_their_colours_and_then_remembered(rig: RosRig) -> Non
     assert before.header.frame_id == "odom"
     for point, y in zip(before.points, (1.5, -1.5), strict=True):
         assert (point.x, point.y) == pytest.approx((14.0, y), abs=1e-3)  # of clocks that tell microseconds differently
+    driven = by_name(received[-1])["driven"]
+    assert [(p.x, driven.header.frame_id) for p in driven.points] == [(10.0, "odom"), (20.0, "odom")]
     rig.spin_until(lambda: not published(8, 0.0)["remembered cones"].points, "a new run has no cones")
 
 
@@ -77,6 +82,12 @@ def test_a_cone_seen_again_is_one_cone() -> None:
     cones = remembered(cones, Motion(x_m=2.0), seen(4.2, ConeColor.BLUE))
     assert cones.tolist() == [[6.2, 1.0, float(ConeColor.BLUE)]]
     assert len(remembered(cones, Motion(x_m=4.0), seen(5.0, ConeColor.BLUE))) == 2
+
+
+def test_the_way_driven_is_blue_where_slow_and_red_where_fast() -> None:
+    line = driven_marker(Header(), [(0.0, 0.0, 0.0), (1.0, 0.0, 7.5), (2.0, 0.0, 20.0)])
+    assert [rgb(color) for color in line.colors] == [(0.0, 0.2, 1.0), (0.5, 0.2, 0.5), (1.0, 0.2, 0.0)]
+    assert driven_marker(Header(), [(0.0, 0.0, 0.0)]).action == Marker.DELETE
 
 
 def path(*x: float) -> Path:

@@ -107,7 +107,7 @@ def _in_own_vcan(args: argparse.Namespace) -> int | None:
 def drive(args: argparse.Namespace) -> int:
     """One rehearsal, from the start of the processes to the verdict."""
     bus = args.bus or (INTERFACE if existing_vcan() else f"loopback:demo-{os.getpid()}")
-    for name in (*SAVED, *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
+    for name in (*SAVED, "bus.json", *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
         (args.out / name).unlink(missing_ok=True)
     log, plot, verdict = (args.out / name for name in SAVED)
     with Stack(bus, args.out) as stack:

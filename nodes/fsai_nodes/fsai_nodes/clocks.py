@@ -140,12 +140,13 @@ class Input:
         topic, there = self._look()
         names = " and ".join(self._publishers)
         if there:
-            return f"{topic} of {names}"
+            return f"{topic} of {names}" if names else topic
         return f"{topic} of {names}, which has ended," if names else f"{topic}, which nobody publishes,"
 
     def _look(self) -> tuple[str, bool]:
         """The topic's whole name, and whether anybody publishes it now."""
         topic = self._node.resolve_topic_name(self._topic)
-        names = sorted({each.node_name for each in self._node.get_publishers_info_by_topic(topic)})
-        self._publishers = names or self._publishers
-        return topic, bool(names)
+        there = {each.node_name for each in self._node.get_publishers_info_by_topic(topic)}
+        # A publisher is discovered before its node's name is.
+        self._publishers = sorted(there - {"_NODE_NAME_UNKNOWN_"}) or self._publishers
+        return topic, bool(there)

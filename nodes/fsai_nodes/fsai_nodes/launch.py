@@ -201,14 +201,15 @@ def run(started: Sequence[Program]) -> int:
     return status
 
 
+def _shown(each: Argument) -> str:
+    choices = f"\n    one of: {', '.join(filter(None, each.choices))}" if each.choices else ""
+    return f"{each.name}:={each.default}\n    {each.words}{choices}"
+
+
 def main() -> int:
     words = sys.argv[1:]
     if {"-h", "--help", "--show-args"} & set(words):
-        print(__doc__)
-        for each in arguments():
-            print(f"{each.name}:={each.default}\n    {each.words}")
-            if each.choices:
-                print(f"    one of: {', '.join(filter(None, each.choices))}")
+        print(__doc__, *map(_shown, arguments()), sep="\n")
         return 0
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     unknown = [word for word in words if ":=" not in word] or sorted(set(given) - {each.name for each in arguments()})
@@ -216,6 +217,8 @@ def main() -> int:
         started = programs(given)
         if unknown:
             raise ValueError(f"'{unknown[0]}' is no argument like mission:=autocross; --show-args lists them")
+        if given.get("rviz") == "true":
+            raise ValueError("rviz:=true is for ros2 launch, which opens RViz; markers:=true sends what it shows")
     except ValueError as error:
         print(f"launch: {error}", file=sys.stderr)
         return 2

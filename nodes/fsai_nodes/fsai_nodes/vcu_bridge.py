@@ -355,8 +355,7 @@ class VcuBridge(LifecycleNode):
 
     def _on_emergency_brake(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Latches ESTOP_REQUEST (`fsai-vcu emergency-brake`)."""
-        why = "asked for by /emergency_brake"
-        return self._served(response, "emergency_brake", lambda loop: loop.emergency_brake(why))
+        return self._served(response, "emergency_brake", lambda loop: loop.emergency_brake("by /emergency_brake"))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clears it, in AS_INIT and AS_OFF (`fsai-vcu reset`)."""

@@ -36,6 +36,8 @@ SETTINGS = (
 )
 SAME_CONE_M = 1.0  # two sightings nearer than that are of one cone
 MOST_CONES = 1000  # remembered
+STEP_M, MOST_STEPS = 0.5, 1000  # of the way driven
+FAST_MPS = 15.0
 SHOWN_S = 0.5  # cones and path without news disappear
 
 RGB = {
@@ -58,6 +60,7 @@ class Visualization(Node):
         self._frames = publisher(self, TFMessage, "/tf_static")
         self._model = publisher(self, String, "robot_description")
         self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
+        self.create_subscription(ConeArray, "raw_cones", self._on_raw_cones, TOPICS["raw_cones"])
         self.create_subscription(ConeArray, "detected_cones", self._on_cones, TOPICS["detected_cones"])
         self.create_subscription(PlannerStatus, "planner_status", self._on_status, TOPICS["planner_status"])
         self.create_subscription(Path, "path", self._on_path, TOPICS["path"])
@@ -71,10 +74,12 @@ class Visualization(Node):
     def _forget(self, state: VehicleState) -> None:
         self._state = state
         self._history = MotionHistory()
+        self._raw: list[Marker] = []
         self._seen: list[Marker] = []
         self._planned: list[Marker] = []
         self._status = PlannerStatus(stop_distance_m=math.nan)
         self._remembered = np.empty((0, 3))  # x, y in the odometry frame; colour
+        self._driven: list[tuple[float, float, float]] = []  # x, y in the odometry frame; speed
 
     def _on_state(self, message: VehicleState) -> None:
         if message.run_id != self._state.run_id:
@@ -82,6 +87,13 @@ class Visualization(Node):
         self._state = message
         t_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
         self._history.add(motion_from_state(message, t_ns))
+        here = (message.x, message.y, message.speed_mps)
+        if not self._driven or math.dist(here[:2], self._driven[-1][:2]) > STEP_M:
+            self._driven = [*self._driven[1 - MOST_STEPS :], here]
+
+    def _on_raw_cones(self, message: ConeArray) -> None:
+        cones = cones_from_msg(message, 0)
+        self._raw = [cone_marker("raw cones", message.header, cones.xy_m, cones.color, size_m=0.1)]
 
     def _on_cones(self, message: ConeArray) -> None:
         seen_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
@@ -102,7 +114,9 @@ class Visualization(Node):
             return
         header = Header(frame_id=ODOM_FRAME)  # without a stamp: as of now, whatever now is
         before = cone_marker("remembered cones", header, self._remembered[:, :2], self._remembered[:, 2], alpha=0.35)
-        self._markers.publish(MarkerArray(markers=[before, *self._seen, *self._planned, *self._car()]))
+        driven = driven_marker(header, self._driven)
+        markers = [before, driven, *self._raw, *self._seen, *self._planned, *self._car()]
+        self._markers.publish(MarkerArray(markers=markers))
 
     def _car(self) -> list[Marker]:
         """Its outline, and over it what it is doing."""
@@ -129,14 +143,27 @@ def remembered(cones: np.ndarray, there: Motion, seen: ConeObservation) -> np.nd
     return np.vstack([cones[(apart > SAME_CONE_M).all(axis=1)], new])[-MOST_CONES:]
 
 
-def cone_marker(name: str, header: Header, xy_m: np.ndarray, colors: np.ndarray, alpha: float = 1.0) -> Marker:
+def cone_marker(
+    name: str, header: Header, xy_m: np.ndarray, colors: np.ndarray, alpha: float = 1.0, size_m: float = 0.3
+) -> Marker:
     """All cones as one marker, each in its colour; those seen disappear with the sensor's silence."""
-    marker = _marker(name, header, Marker.SPHERE_LIST, (0.3, 0.3, 0.3), (1.0, 1.0, 1.0))
+    marker = _marker(name, header, Marker.SPHERE_LIST, (size_m, size_m, size_m), (1.0, 1.0, 1.0))
     marker.points = _points(xy_m.tolist(), 0.15)
     marker.colors = [_rgba(RGB[ConeColor(int(color))], alpha) for color in colors]
     if not len(xy_m):
         marker.action = Marker.DELETE
     return marker
+
+
+def driven_marker(header: Header, driven: Sequence[tuple[float, float, float]]) -> Marker:
+    """The way driven, from blue (at rest) to red (`FAST_MPS`)."""
+    line = _marker("driven", header, Marker.LINE_STRIP, (0.08, 0.0, 0.0), (1.0, 1.0, 1.0))
+    line.points = _points([(x, y) for x, y, _ in driven], 0.02)
+    fast = [min(max(speed / FAST_MPS, 0.0), 1.0) for _, _, speed in driven]
+    line.colors = [_rgba((share, 0.2, 1.0 - share)) for share in fast]
+    if len(driven) < 2:
+        line.action = Marker.DELETE
+    return line
 
 
 def path_markers(path: Path, status: PlannerStatus) -> list[Marker]:
