@@ -12,6 +12,7 @@ from fsai_vcu.cli.main import Parser, all_verbs, parser_of
 from fsai_vcu.core.supervision.supervisor import Mode
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS
 
 EXAMPLE = (
@@ -60,8 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    import shtab
-
+    try:
+        import shtab
+    except ImportError:  # no distribution's package of ROS brings it
+        raise UserError("shtab is not installed; install it with: pip install shtab") from None
     text = shtab.complete(whole_parser(), args.shell, preamble=_PREAMBLE[args.shell])
     if args.shell == "bash":
         text += _BASH_EQUALS

@@ -8,6 +8,7 @@ import re
 import select
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -115,6 +116,16 @@ def test_other_shells_scripts_name_every_option(shell: str, tmp_path: Path, caps
     for verb in all_verbs():
         options = [name for action in parser_of(verb)._actions for name in action.option_strings]
         assert all(name.strip("-") in text for name in [verb, *options])
+
+
+def test_where_shtab_is_missing_one_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["completion", "bash"]) == 1
+    assert capsys.readouterr().err == (
+        "fsai-vcu completion: shtab is not installed; install it with: pip install shtab\n"
+    )
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed here")
