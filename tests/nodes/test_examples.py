@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 from pathlib import Path
 from types import ModuleType
 
@@ -108,4 +109,8 @@ def test_own_planner_and_controller_drive_to_as_finished(tmp_path: Path) -> None
     programs = [
         word for name in ("own_planner", "own_controller") for word in ("--with", str(EXAMPLES / name / f"{name}.py"))
     ]
-    assert "autocross: PASS" in driven(tmp_path, "--track", "small_oval", *programs)
+    said = driven(tmp_path, "--track", "small_oval", *programs)
+    assert "autocross: PASS" in said
+    (report,) = (line.split()[1:] for line in said.splitlines() if line.startswith("report "))
+    assert subprocess.run(report, stdout=subprocess.DEVNULL).returncode == 0
+    assert (tmp_path / "report.html").stat().st_size > 10_000

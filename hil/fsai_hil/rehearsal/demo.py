@@ -147,6 +147,7 @@ def drive(args: argparse.Namespace) -> int:
     wire = check_candump(log, Codec(revision(args.revision)), busy_machine=True)
     _report(judged, wire)
     print(f"saved      {log}, {plot}, {verdict}")
+    print(f"report     {verb} report {log} -o {args.out / 'report.html'}")
     return 0 if status == 0 and wire.ok else 1
 
 
