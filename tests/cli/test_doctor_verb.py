@@ -334,6 +334,8 @@ LAPTOP = Machine(car_pc=False, user="ada", ros=WELL.ros)
         (replace(LAPTOP, kernel_has_vcan=True), "bus", "note", "no vcan0 yet", "ip link add dev vcan0 type vcan"),
         (replace(LAPTOP, vcan="vcan0"), "bus", "right", "vcan0 is up", ""),
         (replace(LAPTOP, domain_id="7"), "DDS", "right", "domain 7, on the loopback", ""),
+        (replace(LAPTOP, domain_id="233"), "DDS", "wrong", "ROS_DOMAIN_ID is 233", "up to 101"),
+        (replace(LAPTOP, domain_id="lab"), "DDS", "wrong", "ROS_DOMAIN_ID is lab", "unset it"),
         (replace(LAPTOP, transport="transport: UDP, on every network"), "DDS", "note", "every network", "unset"),
         (replace(LAPTOP, dds_leftovers=("/dev/shm/fastrtps_1",)), "DDS", "note", "1 file in /dev/shm", "rm -f /dev"),
         (LAPTOP, "scheduling", "note", "ada's programs may not be real-time", "ada - rtprio 60"),

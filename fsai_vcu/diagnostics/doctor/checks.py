@@ -14,6 +14,7 @@ _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 _IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
 _NO_CONFIGURATION = "needs the configuration"
+_DOMAIN_MAX = 232  # beyond it there are no UDP ports
 _SETTLE = "sudo /usr/lib/fsai/settle"  # sets which bus the services are for
 _ANOTHER = f"name another in [can] interface and to the services: {_SETTLE} NAME"
 # No do_set_mode in drivers/net/can/usb/gs_usb.c: some kernels refuse restart-ms, others accept it and never restart.
@@ -56,7 +57,10 @@ def vcan(machine: Machine) -> Iterator[Finding]:
 
 def domain(machine: Machine) -> Iterator[Finding]:
     here = f"domain {machine.domain_id}"
-    if machine.transport:
+    if not machine.domain_id.isdecimal() or int(machine.domain_id) > _DOMAIN_MAX:
+        words = f"ROS_DOMAIN_ID is {machine.domain_id}, and no ROS program starts with it"
+        yield _wrong("DDS", words, "unset it, or a number up to 101 that nobody else on your network has")
+    elif machine.transport:
         yield Finding("DDS", "note", f"{here}; {machine.transport}", "unset that variable to stay on this machine")
     else:
         yield _right(

@@ -66,7 +66,7 @@ def laptop(proc: Path = Path("/proc")) -> Machine:
         vcan=up[0] if up else "",
         kernel_has_vcan=bool(up) or kernel_has("vcan"),
         may_be_real_time=os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0,
-        domain_id=os.environ.get("ROS_DOMAIN_ID", "0"),
+        domain_id=os.environ.get("ROS_DOMAIN_ID") or "0",
         transport=set_transport(dict(os.environ)),
         ros=_ros(proc),
         dds_leftovers=dds_leftovers(proc),
