@@ -104,7 +104,8 @@ deb:  ## a Debian package that needs no network where it is installed, in out/de
 rehearse-deb:  ## install that package in bare chroots of SUITES (debootstrap), drive, upgrade, purge; as root, minutes
 	@scripts/rehearse-deb $(SUITES)
 
-wheel: setup-for-tests  ## the wheel and the sdist, in dist; fsai-vcu drive works from it: pipx install dist/*.whl
+wheel: setup  ## the wheel and the sdist, in dist; fsai-vcu drive works from it: pipx install dist/*.whl
+	@$(BIN)/python -c "import hatchling" 2>/dev/null || $(BIN)/pip install -q "hatchling>=1.24,<2"
 	$(BIN)/python -m hatchling build -d dist
 
 docs: setup  ## build the documentation into out/docs, every link checked; installs what that needs
