@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -182,3 +184,10 @@ def test_services_by_eufs_names_are_the_bridges(rig: RosRig) -> None:
 def test_an_eufs_stack_drives_the_acceleration_to_as_finished(tmp_path: Path) -> None:
     programs = ("--with", "fsai_nodes.eufs_adapter", "--with", str(Path(__file__).with_name("eufs_stack.py")))
     assert "acceleration: PASS" in driven(tmp_path, "--mission", "acceleration", *programs)
+
+
+def test_without_eufs_messages_one_line_says_so() -> None:
+    code = "import sys; sys.modules['eufs_msgs'] = None; import fsai_nodes.eufs_adapter"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1 and "eufs_msgs" in done.stderr

@@ -9,17 +9,6 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from ackermann_msgs.msg import AckermannDriveStamped
-from eufs_msgs.msg import (
-    CanState,
-    CarState,
-    ConeArrayWithCovariance,
-    ConeWithCovariance,
-    VehicleCommands,
-    VehicleCommandsStamped,
-    WheelSpeedsStamped,
-)
-from eufs_msgs.srv import SetCanState
 from fsai_msgs.msg import Cone, ConeArray, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -36,6 +25,21 @@ from fsai_nodes.qos import SENSOR, TOPICS, publisher
 from fsai_vcu.core.vehicle.forces import brake_for, throttle_for
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
+
+try:
+    from ackermann_msgs.msg import AckermannDriveStamped
+    from eufs_msgs.msg import (
+        CanState,
+        CarState,
+        ConeArrayWithCovariance,
+        ConeWithCovariance,
+        VehicleCommands,
+        VehicleCommandsStamped,
+        WheelSpeedsStamped,
+    )
+    from eufs_msgs.srv import SetCanState
+except ImportError as error:
+    raise SystemExit(f"eufs_adapter: {error}: docs/bring-your-own-stack.md says who builds these messages") from None
 
 FRAME = "base_footprint"  # ros_can's name for the car; ours is the rear axle's centre on the ground
 PERIOD_S = 0.02  # 50 Hz, as the bridge asks for; stacks speak more slowly, and ros_can repeats what they said last
