@@ -7,10 +7,12 @@ frame between two others which says something else than both.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import raw_of
@@ -79,7 +81,8 @@ def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
 
 
 def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[SecondSender]:
-    rows = np.flatnonzero((frames.can_id == can_id) & ((frames.flags | RECEIVED | SENT) == RECEIVED | SENT))
+    rows = np.flatnonzero(frames.can_id == can_id)
+    rows = rows[(frames.flags[rows] | RECEIVED | SENT) == RECEIVED | SENT]
     if len(rows) < 2 or frames.t_ns[rows[0]] == frames.t_ns[rows[-1]]:
         return []
     flags = frames.flags[rows]
@@ -88,21 +91,20 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
         ours = int(((flags & SENT) != 0).sum())
         proof = f"received, not sent, by the computer that wrote this log, beside {ours} of its own"
         return _stretches(frames, rows, (flags & RECEIVED) != 0, proof)
-    often = _around(t_ns)
-    short = often >= LONG_EXCESS * LONG_NS / PERIOD_NS
-    many = _too_many(t_ns, SHORT_NS, SHORT_EXCESS, PERIOD_NS, short)
-    contradicting = _contradicting(frames, rows, layout)
-    if contradicting.any() and not many.any():
-        proof = "a frame comes between two others and says something else than both"
-        return _stretches(frames, rows, contradicting, proof, payloads=True)
+    many = _too_many(t_ns, SHORT_NS, SHORT_EXCESS, PERIOD_NS, LONG_EXCESS)
     if not many.any():
+        contradicting = _contradicting(frames, rows, layout)
+        if contradicting.any():
+            proof = "a frame comes between two others and says something else than both"
+            return _stretches(frames, rows, contradicting, proof, payloads=True)
         # One that sends less often than the other: by the period that this really has, for a little fast is not two.
         period_ns = min(PERIOD_NS, _period_ns(t_ns))
-        many = _too_many(t_ns, SLOW_NS, SLOW_EXCESS, period_ns, np.ones_like(short))
-        many &= often >= (1.0 + SLOW_EXCESS) / 2 * LONG_NS / period_ns  # the windows begin before it and end after it
+        many = _too_many(t_ns, SLOW_NS, SLOW_EXCESS, period_ns)
+        if many.any():  # the windows begin before it and end after it
+            many &= _around(t_ns) >= (1.0 + SLOW_EXCESS) / 2 * LONG_NS / period_ns
     if not many.any():
         return []
-    proof = f"{np.percentile(often[many], 75):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
+    proof = f"{np.percentile(_around(t_ns)[many], 75):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
     return _stretches(frames, rows, many, proof)
 
 
@@ -117,20 +119,22 @@ def _around(t_ns: Ints) -> Ints:
     return np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
 
 
-def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, begins: Mask) -> Mask:
-    """Frames within windows, begun by one of `begins`, in which `excess` times as many come as the period allows, even
-    to a sender that catches up."""
-    index = np.arange(len(t_ns))
-    count = np.searchsorted(t_ns, t_ns + window_ns) - index
-    hits = begins & (count >= excess * window_ns / period_ns)
+def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, around: float = 0.0) -> Mask:
+    """Frames within windows in which `excess` times as many come as the period allows, even to a sender that catches
+    up, and in the second around which `around` times as many do."""
+    count = len(t_ns)
+    least = math.ceil(excess * window_ns / period_ns)
+    hits = np.flatnonzero(t_ns[least - 1 :] < t_ns[: max(count - least + 1, 0)] + window_ns)
+    if around and len(hits):
+        hits = hits[_around(t_ns)[hits] >= around * LONG_NS / period_ns]
+    if not len(hits):
+        return np.zeros(count, np.bool_)
     # Frames that were held back, however long, bring one sender no further ahead of its period than it ever was.
-    ahead_ns = index * period_ns - (t_ns - t_ns[0])
-    last = np.minimum(index + count, len(t_ns)) - 1
-    hits &= ahead_ns[last] - np.maximum.accumulate(ahead_ns) >= AHEAD_NS
-    covered = np.zeros(len(t_ns) + 1, np.int64)
-    np.add.at(covered, index[hits], 1)
-    np.add.at(covered, (index + count)[hits], -1)
-    within: Mask = np.cumsum(covered[:-1]) > 0
+    ahead_ns = np.arange(count) * period_ns - (t_ns - t_ns[0])
+    ends = np.searchsorted(t_ns, t_ns[hits] + window_ns)
+    far = ahead_ns[ends - 1] - np.maximum.accumulate(ahead_ns)[hits] >= AHEAD_NS
+    begun, ended = (np.bincount(places[far], minlength=count + 1) for places in (hits, ends))
+    within: Mask = np.cumsum(begun - ended)[:-1] > 0
     return within
 
 
@@ -149,11 +153,10 @@ def _contradicting(frames: Frames, rows: Ints, layout: MessageLayout | None) -> 
         return hits
     steps = [1 if signal.length > FEW_BITS else APART for signal in signals]
     raw = [raw_of(signal, frames.word[rows]).astype(np.int64) for signal in signals]
-    values = np.stack([step * column for step, column in zip(steps, raw, strict=True)], axis=1)
-    before = np.abs(values[1:-1] - values[:-2]).max(axis=1)
-    after = np.abs(values[2:] - values[1:-1]).max(axis=1)
-    across = np.abs(values[2:] - values[:-2]).max(axis=1)
-    hits[1:-1] = np.minimum(before, after) > 3 * across + APART - 1
+    values = np.stack([step * column for step, column in zip(steps, raw, strict=True)])
+    change = np.abs(values[:, 1:] - values[:, :-1]).max(axis=0)
+    across = np.abs(values[:, 2:] - values[:, :-2]).max(axis=0)
+    hits[1:-1] = np.minimum(change[:-1], change[1:]) > 3 * across + APART - 1
     if not hits.any():
         return hits
     if batched(t_ns):
@@ -165,11 +168,18 @@ def _contradicting(frames: Frames, rows: Ints, layout: MessageLayout | None) -> 
     # One too many here, and not made up for by a pause before: by the period that the sender really has.
     index = np.arange(count)
     ahead_ns = index * _period_ns(t_ns) - (t_ns - t_ns[0])
-    padded = np.concatenate((np.full(BEFORE, -np.inf), ahead_ns))
-    most_before = np.lib.stride_tricks.sliding_window_view(padded, BEFORE)[:count].max(axis=1)
     low, high = np.maximum(index - AROUND, 1), np.minimum(index + AROUND, count - 1)
-    hits &= ahead_ns[high] - most_before[low] >= EXTRA_NS
+    hits &= ahead_ns[high] - _most_before(ahead_ns)[low] >= EXTRA_NS
     return hits
+
+
+def _most_before(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The greatest of the BEFORE values before each: of one block's end and of the beginning of the next."""
+    count = len(values)
+    blocks = np.full((count // BEFORE + 2, BEFORE), -np.inf)
+    blocks.ravel()[BEFORE : BEFORE + count] = values
+    begins, ends = np.maximum.accumulate(blocks, axis=1), np.maximum.accumulate(blocks[:, ::-1], axis=1)[:, ::-1]
+    return np.maximum(ends.ravel()[:count], begins.ravel()[BEFORE - 1 : BEFORE - 1 + count])
 
 
 def _stretches(frames: Frames, rows: Ints, hits: Mask, proof: str, *, payloads: bool = False) -> list[SecondSender]:
