@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from enum import Enum
+from itertools import pairwise
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -73,8 +74,8 @@ class TimeSpread:
     max_ms: float | None
 
     @classmethod
-    def of(cls, times_ns: Ints) -> TimeSpread:
-        ordered = np.sort(times_ns)
+    def of(cls, ordered: Ints) -> TimeSpread:
+        """Of times in ns, in ascending order."""
         found = [quantile(ordered, share) for share in (0.5, 0.99, 1.0)]  # type: ignore[arg-type]
         return cls(*(None if time_ns is None else time_ns / MS for time_ns in found))
 
@@ -191,32 +192,30 @@ def _measure_channel(
         frames = frames.at(frames.t_ns + np.cumsum(straightened(frames.t_ns)[1]))  # the steps of a clock that was set
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
     duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
-    bits = wire_bits(frames)
     errors = (frames.flags & ERROR) != 0
     words: Counter[str] = Counter()
     for row in np.flatnonzero(errors).tolist():
         words[", ".join(error_words(int(frames.can_id[row]), frames.payload(row)))] += 1
     layouts = decoder.databases.layouts
-    keys = keys_of(frames)
-    few_bits = np.uint16 if keys.max(initial=0) < (1 << 16) - 1 else np.int32  # which are sorted quicker
-    order = np.argsort((keys + 1).astype(few_bits), kind="stable")
-    begins = _runs(keys[order])
-    rows_of = dict(zip(keys[order[begins]].tolist(), np.split(order, begins[1:]), strict=True))
-    rows_of.pop(-1, None)
-    messages = []
-    for key, rows in rows_of.items():
-        expected_ns = expected_period_ns(key, layouts.get(key), revision)
-        messages.append(_measure_message(frames, rows, bits[rows], layouts.get(key), expected_ns, duration_ns, bitrate))
-    compared = [rows for key, rows in rows_of.items() if key in layouts and layouts[key].name in _STATUS | _WHEELS]
-    few = frames.only(np.sort(np.concatenate([order[:0], *compared])))
-    received = set(rows_of)
-    described = {} if received.isdisjoint(layouts) else layouts
-    silent = {key: layout for key, layout in described.items() if key not in received}
+    bits = np.zeros(len(frames), np.uint16)
+    messages: dict[int, MessageStatistics] = {}
+    compared = [np.zeros(0, np.int64)]
+    for rows, key, of_message in _by_message(frames):
+        bits[rows] = its_bits = wire_bits(of_message)
+        layout = layouts.get(key)
+        if layout is not None and layout.name in _STATUS | _WHEELS:
+            compared.append(rows)
+        expected_ns = expected_period_ns(key, layout, revision)
+        bus_ns = int(frames.t_ns[0]), int(frames.t_ns[-1])
+        messages[key] = _measure_message(of_message, its_bits, layout, expected_ns, bus_ns, bitrate)
+    few = frames.only(np.sort(np.concatenate(compared)))
+    described = {} if layouts.keys().isdisjoint(messages) else layouts
+    silent = {key: layout for key, layout in described.items() if key not in messages}
     return BusStatistics(
         channel=channel,
         frames=len(frames),
         duration_s=duration_ns / S,
-        messages=tuple(messages),
+        messages=tuple(messages.values()),
         missing=tuple(layout for key, layout in silent.items() if expected_period_ns(key, layout, revision)),
         error_frames=dict(words),
         load=share(bits, duration_ns, bitrate),
@@ -226,6 +225,22 @@ def _measure_channel(
         frozen_counts=tuple(_frozen_counts(decoder.tables(few, _WHEELS))),
         backwards=backwards,
     )
+
+
+def _by_message(frames: Frames) -> Iterator[tuple[Ints, int, Frames]]:
+    """(rows, key, the frames there) of each message of one bus; of no error frame."""
+    keys = keys_of(frames)
+    few_bits = np.uint16 if keys.max(initial=0) < (1 << 16) - 1 else np.int32  # which are sorted quicker
+    order = np.argsort((keys + 1).astype(few_bits), kind="stable")
+    order = order[np.count_nonzero(keys < 0) :]
+    keys = keys[order]
+    # One column after the other: each fits a processor's cache, and all of them do not.
+    names = ("t_ns", "can_id", "flags", "length", "word")
+    columns = {name: np.take(getattr(frames, name), order) for name in names}
+    begins = _runs(keys)
+    for begin, end in pairwise([*begins.tolist(), len(keys)]):
+        part = {name: column[begin:end] for name, column in columns.items()}
+        yield order[begin:end], int(keys[begin]), Frames(**part, channel=frames.channel[: end - begin])
 
 
 def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | None) -> int | None:
@@ -238,31 +253,33 @@ def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | N
 
 def _measure_message(
     frames: Frames,
-    rows: Ints,
     bits: Halves,
     layout: MessageLayout | None,
     expected_ns: int | None,
-    duration_ns: int,
+    bus_ns: tuple[int, int],
     bitrate: int,
 ) -> MessageStatistics:
-    t_ns, word, length, flags = frames.t_ns[rows], frames.word[rows], frames.length[rows], frames.flags[rows]
-    ordered = np.sort(word)
+    """Of the frames of one message, on a bus whose first and last frame came at these times."""
+    t_ns, word, length, flags = frames.t_ns, frames.word, frames.length, frames.flags
+    duration_ns = bus_ns[1] - bus_ns[0]
+    words = np.sort(word)
     intervals = np.diff(t_ns)
-    typical_ns = expected_ns or quantile(np.sort(intervals), 0.5) or 0  # type: ignore[arg-type]
+    ordered = np.sort(intervals)
+    typical_ns = expected_ns or quantile(ordered, 0.5) or 0  # type: ignore[arg-type]
     timed = duration_ns > 0 and typical_ns > 0
     remote = (flags & REMOTE) != 0
-    no_pauses = intervals[intervals < _LOST_PERIODS * typical_ns]
+    no_pauses = ordered[: np.searchsorted(ordered, _LOST_PERIODS * typical_ns)]
+    missing = math.floor(_MISSING_PERIODS * typical_ns)
     wrong: dict[int, int] = {}
     if layout is not None:
         lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
         wrong = dict(zip(lengths.tolist(), counts.tolist(), strict=True))
     longest = int(np.argmax(intervals)) if timed and len(intervals) else None
-    can_id = int(frames.can_id[rows[0]])
     return MessageStatistics(
-        can_id=can_id,
+        can_id=int(frames.can_id[0]),
         extended=bool(flags[0] & EXTENDED),
         name=layout.name if layout else None,
-        count=len(rows),
+        count=len(frames),
         first_s=int(t_ns[0]) / S,
         last_s=int(t_ns[-1]) / S,
         expected_length=layout.length if layout else None,
@@ -270,16 +287,16 @@ def _measure_message(
         remote=int(remote.sum()),
         sent=int(((flags & SENT) != 0).sum()),
         expected_ms=expected_ns / MS if expected_ns else None,
-        interval_ms=TimeSpread.of(intervals if timed else intervals[:0]),
+        interval_ms=TimeSpread.of(ordered if timed else ordered[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
-        jitter_ms=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
-        gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
+        jitter_ms=TimeSpread.of(np.sort(np.abs(intervals - typical_ns)) if timed else ordered[:0]),
+        gaps=len(ordered) - int(np.searchsorted(ordered, missing, side="right")) if timed else 0,
         lost=max(0, round(int(no_pauses.sum()) / typical_ns) - len(no_pauses)) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
-        silent_ms=int(frames.t_ns[-1] - t_ns[-1]) / MS,
+        silent_ms=(bus_ns[1] - int(t_ns[-1])) / MS,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
-        payloads=1 + int((ordered[1:] != ordered[:-1]).sum()),
+        payloads=1 + int(np.count_nonzero(words[1:] != words[:-1])),
         bits=int(bits.sum()),
         load=share(bits, duration_ns, bitrate),
     )
@@ -352,7 +369,7 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     # Before that, or before the log's end, an echo that is not there may come, or be a frame that the recording lost.
     unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)
     return Handshake(
-        len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(waited), int((waited >= COMMS_LOST_NS).sum())
+        len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(np.sort(waited)), int((waited >= COMMS_LOST_NS).sum())
     )
 
 

@@ -8,7 +8,7 @@ CRC and stuffing go byte by byte through tables, all frames of one length at onc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, reduce
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,8 @@ from fsai_vcu.diagnostics.log.frames import CLASSIC_BYTES, ERROR, EXTENDED, FD, 
 CRC15: Final = 0x4599
 _UNSTUFFED_BITS: Final = 1 + 1 + 1 + 7 + 3  # behind the CRC
 _CRC_BITS: Final = 15
-_AT_ONCE: Final = 1 << 18  # frames: what of each kind fits a processor's cache is done fastest
+_MOST_PARTS: Final = 5 + CLASSIC_BYTES  # bytes up to the CRC, of an extended frame
+_AT_ONCE: Final = 1 << 16  # frames: what of each kind fits a processor's cache is done fastest
 
 Bytes = npt.NDArray[np.uint8]
 Halves = npt.NDArray[np.uint16]
@@ -45,18 +46,21 @@ def wire_bits(frames: Frames) -> Halves:
                 bits[rows] = round((head + 8 * length) * 1.1) + 4 + crc + crc // 4 + 1 + _UNSTUFFED_BITS
             elif not flags & ERROR:
                 data = frames.word[rows].astype("<u8").view(np.uint8).reshape(-1, CLASSIC_BYTES)
-                bits[rows] = _classic_bits(frames.can_id[rows].astype(np.int64), data, flags, length)
+                can_id = frames.can_id[rows].astype(np.int64)
+                if (can_id == can_id[0]).all():
+                    can_id = can_id[:1]  # what comes before the data is the same in all of them
+                bits[rows] = _classic_bits(can_id, data, flags, length)
     return bits
 
 
 def _classic_bits(can_id: Ints, data: Bytes, flags: int, length: int) -> Bytes:
-    """`can_id` [n] and `data` [n, 8] of frames that have the flags and the length in common."""
+    """`can_id` [n], or the only one, and `data` [n, 8] of frames that have the flags and the length in common."""
     control = (1 << 6 if flags & REMOTE else 0) | min(length, CLASSIC_BYTES)
     header, bits = can_id << 7 | control, 1 + 11 + 7
     if flags & EXTENDED:
         arbitration = (can_id >> 18 << 2 | 0b11) << 18 | can_id & 0x3FFFF  # 11 bits of the id, SRR, IDE, 18 of the id
         header, bits = arbitration << 7 | control, 1 + 31 + 7
-    payload = [np.ascontiguousarray(column) for column in data[:, : 0 if flags & REMOTE else length].T]
+    payload = np.ascontiguousarray(data[:, : 0 if flags & REMOTE else length].T)
     crc = _crc([*_bytes_of(header, bits), *payload])
     # Filled up to whole bytes by what brings no stuff bit: 1 and 0 in turns before the first 0, and at the end another.
     filled = header | (0b1010101 << bits) & ((1 << -(-bits // 8) * 8) - 1)
@@ -73,31 +77,30 @@ def _bytes_of(numbers: Ints | Halves, bits: int) -> list[Bytes]:
 
 def _crc(parts: Sequence[Bytes]) -> Halves:
     """Of numbers whose bytes are the parts; zeros in front change nothing."""
-    crc: Halves = np.zeros(len(parts[0]), np.uint16)
-    for part in parts:
-        crc = crc << np.uint16(8) ^ np.take(_crc_table(), (crc >> np.uint16(7)).astype(np.uint8) ^ part)
-    return crc & np.uint16(0x7FFF)
+    tables = _crc_tables()[len(parts) - 1 :: -1]
+    return reduce(np.bitwise_xor, map(np.take, tables, parts))  # the checksum of a sum without carry is that of its terms
 
 
 def _stuff_bits(parts: Sequence[Bytes]) -> Bytes:
     """How many come into numbers whose bytes are the parts."""
-    count: Bytes = np.zeros(len(parts[0]), np.uint8)
-    state: Halves = np.zeros(len(parts[0]), np.uint16)
+    count: Halves = np.zeros(1, np.uint16)  # in its low byte; what the states add above is not looked at
+    found: Halves = np.zeros(1, np.uint16)
     for part in parts:
-        found = np.take(_stuff_table(), state | part)
-        count += found.astype(np.uint8)
-        state = found & np.uint16(0xFF00)
-    return count
+        found = np.take(_stuff_table(), found & np.uint16(0xFF00) | part)
+        count = count + found
+    return count.astype(np.uint8)
 
 
 @cache
-def _crc_table() -> Halves:
-    """What a byte makes of the checksum, by its bits."""
-    one = np.uint16(1)
-    crc: Halves = np.arange(256, dtype=np.uint16) << np.uint16(7)
-    for _ in range(8):
-        crc = crc << one ^ (crc >> np.uint16(14) & one) * np.uint16(CRC15)
-    return crc
+def _crc_tables() -> Halves:
+    """What a byte makes of the checksum by its bits, with so many bytes of zeros behind it: [zeros, byte]."""
+    one, crc = np.uint16(1), np.arange(256, dtype=np.uint16) << np.uint16(7)
+    tables = []
+    for _ in range(_MOST_PARTS):
+        for _ in range(8):
+            crc = (crc << one ^ (crc >> np.uint16(14) & one) * np.uint16(CRC15)) & np.uint16(0x7FFF)
+        tables.append(crc)
+    return np.array(tables)
 
 
 @cache
