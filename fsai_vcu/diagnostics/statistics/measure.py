@@ -21,7 +21,7 @@ from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints, straightened
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
-from fsai_vcu.diagnostics.statistics.wire_bits import Halves, wire_bits
+from fsai_vcu.diagnostics.statistics.wire_bits import AT_ONCE, Halves, wire_bits
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -235,12 +235,13 @@ def _by_message(frames: Frames) -> Iterator[tuple[Ints, int, Frames]]:
     order = order[np.count_nonzero(keys < 0) :]
     keys = keys[order]
     # One column after the other: each fits a processor's cache, and all of them do not.
-    names = ("t_ns", "can_id", "flags", "length", "word")
+    names = ("t_ns", "flags", "length", "word")
     columns = {name: np.take(getattr(frames, name), order) for name in names}
     begins = _runs(keys)
     for begin, end in pairwise([*begins.tolist(), len(keys)]):
-        part = {name: column[begin:end] for name, column in columns.items()}
-        yield order[begin:end], int(keys[begin]), Frames(**part, channel=frames.channel[: end - begin])
+        key, part = int(keys[begin]), {name: column[begin:end] for name, column in columns.items()}
+        can_id = np.full(end - begin, key & ~EXTENDED_KEY, np.uint32)
+        yield order[begin:end], key, Frames(**part, can_id=can_id, channel=frames.channel[: end - begin])
 
 
 def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | None) -> int | None:
@@ -329,9 +330,13 @@ def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
     """In the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go backwards."""
     if not len(t_ns):
         return 0.0
-    windows = t_ns - t_ns[0]
-    windows //= LOAD_WINDOW_NS
-    return float(np.add.reduceat(bits, _runs(windows), dtype=np.int64).max()) / (bitrate * LOAD_WINDOW_NS / S)
+    parts = []
+    for begin in range(0, len(t_ns), AT_ONCE):
+        windows = (t_ns[begin : begin + AT_ONCE] - t_ns[0]) // LOAD_WINDOW_NS
+        begins = _runs(windows)
+        parts.append((windows[begins], np.add.reduceat(bits[begin : begin + AT_ONCE], begins, dtype=np.int64)))
+    numbers, sums = map(np.concatenate, zip(*parts, strict=True))
+    return float(np.add.reduceat(sums, _runs(numbers)).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
 def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDArray[Any]) -> Ints:

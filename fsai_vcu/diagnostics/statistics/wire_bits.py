@@ -20,7 +20,7 @@ CRC15: Final = 0x4599
 _UNSTUFFED_BITS: Final = 1 + 1 + 1 + 7 + 3  # behind the CRC
 _CRC_BITS: Final = 15
 _MOST_PARTS: Final = 5 + CLASSIC_BYTES  # bytes up to the CRC, of an extended frame
-_AT_ONCE: Final = 1 << 16  # frames: what of each kind fits a processor's cache is done fastest
+AT_ONCE: Final = 1 << 16  # frames: what of each kind fits a processor's cache is done fastest
 
 Bytes = npt.NDArray[np.uint8]
 Halves = npt.NDArray[np.uint16]
@@ -32,13 +32,13 @@ def wire_bits(frames: Frames) -> Halves:
     FD frames are estimated, without a faster data phase and with a tenth of stuff bits.
     """
     bits = np.zeros(len(frames), np.uint16)
-    for begin in range(0, len(frames), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        kinds = (frames.flags[part] & np.uint8(EXTENDED | REMOTE | ERROR | FD)).astype(np.int64) << 8 | frames.length[
-            part
-        ]
+    for begin in range(0, len(frames), AT_ONCE):
+        part = slice(begin, begin + AT_ONCE)
+        kinds = (frames.flags[part] & np.uint8(EXTENDED | REMOTE | ERROR | FD)).astype(np.uint16) << np.uint16(8)
+        kinds |= frames.length[part]
         for kind in np.flatnonzero(np.bincount(kinds)).tolist():
-            rows = np.flatnonzero(kinds == kind) + begin
+            its = kinds == kind
+            rows = part if its.all() else np.flatnonzero(its) + begin
             flags, length = divmod(kind, 1 << 8)
             if flags & FD and not flags & ERROR:
                 crc = 17 if length <= 16 else 21
