@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -280,17 +280,21 @@ class Sources:
         """
         if seconds is not None and not self.live:
             raise WrongUse("--seconds is for live buses; --from and --to choose a part of a log")
-        parts: list[Frames] = []
-        count = 0
-        try:
+
+        def chunks() -> Iterator[Frames]:
+            count = 0
             for chunk in self.chunks(seconds, announced=True):
-                parts.append(chunk)
                 count += len(chunk)
                 received(count)
-        except KeyboardInterrupt:
-            if not self.live:
-                raise
-        if self.live and not count:
+                yield chunk
+
+        if not self.live:
+            return joined(chunks())
+        parts: list[Frames] = []
+        with suppress(KeyboardInterrupt):
+            for chunk in chunks():
+                parts.append(chunk)
+        if not any(map(len, parts)):
             self._say(f"nothing was received on {self.name}")
             self.status = 1
         return joined(parts)

@@ -78,7 +78,9 @@ class Spans(Sequence[Span]):
         if isinstance(place, slice):
             return list(self._between(*place.indices(len(self))[:2]))
         at = range(len(self))[place]
-        return next(self._between(at, at + 1))
+        before = None if self.apart[at] else float(self.values[at - 1])
+        after = None if self.apart[at + 1] else float(self.values[at + 1])
+        return Span(int(self.begin_ns[at]), int(self.end_ns[at]), float(self.values[at]), before, after)
 
     def __iter__(self) -> Iterator[Span]:
         return self._between(0, len(self))
@@ -371,6 +373,8 @@ class Record:
 
 def _car_channel(frames: Frames) -> int:
     """The bus on which most of the VCU's and the AI computer's messages are."""
+    if len(frames.channels) == 1:
+        return 0
     known = [can_id for can_id, message in BY_ID.items() if message.flow in (Flow.TO_VCU, Flow.FROM_VCU)]
     ours = frames.channel[np.isin(frames.can_id, known)]
     counted = ours if len(ours) else frames.channel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from typing import Any, Final
 
 import numpy as np
@@ -150,19 +151,33 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
 
 
 def joined(parts: Iterable[Frames]) -> Frames:
-    """One run of frames from several. Logs number their buses each for itself: those of one name become one."""
-    kept = [part for part in parts if len(part)]
-    if len(kept) < 2:
-        return kept[0] if kept else frames_of(())
-    channels = kept[0].channels
-    if any(part.channels is not channels for part in kept):
-        channels = list(dict.fromkeys(name for part in kept for name in part.channels))
-        numbers = [np.array([channels.index(name) for name in part.channels], np.int32) for part in kept]
-        kept = [replace(part, channel=own[part.channel]) for part, own in zip(kept, numbers, strict=True)]
-    begins = np.cumsum([0, *map(len, kept)]).tolist()
-    long = {row + begin: whole for part, begin in zip(kept, begins, strict=False) for row, whole in part.long.items()}
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in kept]) for name in _COLUMNS}
-    return Frames(**columns, channels=channels, long=long)
+    """One run of frames from several. Logs number their buses each for itself: those of one name become one.
+
+    Parts are copied as they come: of those that nobody else keeps there is never more than one beside the whole.
+    """
+    kept = filter(len, parts)
+    begin = list(islice(kept, 2))
+    if len(begin) < 2:
+        return begin[0] if begin else frames_of(())
+    channels = begin[0].channels
+    numbers: dict[str, int] = {}
+    columns: dict[str, Any] = {name: np.empty(0, getattr(begin[0], name).dtype) for name in _COLUMNS}
+    long: dict[int, bytes] = {}
+    count = 0
+    for part in chain(begin, kept):
+        numbers = numbers or ({} if part.channels is channels else {name: n for n, name in enumerate(channels)})
+        if numbers:
+            own = np.array([numbers.setdefault(name, len(numbers)) for name in part.channels], np.int32)
+            part = replace(part, channel=own[part.channel])
+        long |= {row + count: whole for row, whole in part.long.items()}
+        end = count + len(part)
+        for name, column in columns.items():
+            if end > len(column):
+                column.resize(end + end // 8, refcheck=False)
+            column[count:end] = getattr(part, name)
+        count = end
+    columns = {name: column[:count] for name, column in columns.items()}
+    return Frames(**columns, channels=[*numbers] or channels, long=long)
 
 
 def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:

@@ -373,9 +373,8 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     waited = (first_ns - toggle_ns)[in_time]
     # Before that, or before the log's end, an echo that is not there may come, or be a frame that the recording lost.
     unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)
-    return Handshake(
-        len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(np.sort(waited)), int((waited >= COMMS_LOST_NS).sum())
-    )
+    late = int((waited >= COMMS_LOST_NS).sum())
+    return Handshake(len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(np.sort(waited)), late)
 
 
 def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, float, float]]:

@@ -76,9 +76,8 @@ def _bytes_of(numbers: Ints | Halves, bits: int) -> list[Bytes]:
 
 
 def _crc(parts: Sequence[Bytes]) -> Halves:
-    """Of numbers whose bytes are the parts; zeros in front change nothing."""
-    tables = _crc_tables()[len(parts) - 1 :: -1]
-    return reduce(np.bitwise_xor, map(np.take, tables, parts))  # the checksum of a sum without carry is that of its terms
+    """Of numbers whose bytes are the parts, as the sum without carry of those of each byte alone."""
+    return reduce(np.bitwise_xor, map(np.take, _crc_tables()[len(parts) - 1 :: -1], parts))
 
 
 def _stuff_bits(parts: Sequence[Bytes]) -> Bytes:
