@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import repeat
 from typing import Final, NamedTuple, overload
 
 import numpy as np
@@ -44,8 +45,7 @@ def ms(length_ns: int) -> str:
     return f"{length_ns / S:.2f} s"
 
 
-@dataclass(frozen=True)
-class Span:
+class Span(NamedTuple):
     """A value that held from `begin_ns` until the frame at `end_ns` had another, or until the last frame.
 
     before, after: the values that it followed and that followed it; None at the log's ends, and at a pause.
@@ -157,8 +157,7 @@ class Series:
 NOTHING: Final = Series(np.zeros(0, np.int64), np.zeros(0))
 
 
-@dataclass(frozen=True)
-class Gap:
+class Gap(NamedTuple):
     """A message that did not come. `end_ns` None: it never came back in this log."""
 
     can_id: int
@@ -340,9 +339,10 @@ class Record:
     def _find_gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
         times = self.times(can_id)
         waits = np.diff(np.append(times, self.end_ns))
-        found = np.flatnonzero(waits > longest_ns).tolist() if len(times) else []
-        ends = [int(times[place + 1]) if place + 1 < len(times) else None for place in found]
-        return [Gap(can_id, int(times[p]), end, int(waits[p])) for p, end in zip(found, ends, strict=True)]
+        found = np.flatnonzero(waits > longest_ns) if len(times) else np.zeros(0, np.int64)
+        ends: list[int | None] = times[found[found + 1 < len(times)] + 1].tolist()
+        ends += [None] * (len(found) - len(ends))
+        return list(map(Gap, repeat(can_id), times[found].tolist(), ends, waits[found].tolist()))
 
     @cached_property
     def silences(self) -> Sequence[tuple[int, int]]:

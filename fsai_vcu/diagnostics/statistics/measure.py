@@ -235,13 +235,14 @@ def _by_message(frames: Frames) -> Iterator[tuple[Ints, int, Frames]]:
     order = order[np.count_nonzero(keys < 0) :]
     keys = keys[order]
     # One column after the other: each fits a processor's cache, and all of them do not.
-    names = ("t_ns", "flags", "length", "word")
-    columns = {name: np.take(getattr(frames, name), order) for name in names}
+    t_ns, word = np.take(frames.t_ns, order), np.take(frames.word, order)
+    flags, length = np.take(frames.flags, order), np.take(frames.length, order)
     begins = _runs(keys)
     for begin, end in pairwise([*begins.tolist(), len(keys)]):
-        key, part = int(keys[begin]), {name: column[begin:end] for name, column in columns.items()}
+        key, part = int(keys[begin]), slice(begin, end)
         can_id = np.full(end - begin, key & ~EXTENDED_KEY, np.uint32)
-        yield order[begin:end], key, Frames(**part, can_id=can_id, channel=frames.channel[: end - begin])
+        channel = frames.channel[: end - begin]
+        yield order[part], key, Frames(t_ns[part], can_id, flags[part], length[part], word[part], channel)
 
 
 def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | None) -> int | None:
