@@ -121,10 +121,11 @@ def _of_shape(
     behind_at = id_at + shape.id_width
     data_at = behind_at + len(shape.behind)
 
-    width = data_at + (2 if shape.behind == b"#" else 3) * CLASSIC_BYTES + 3
-    lines = np.ndarray((len(text) - width + 1,), f"V{width}", text, strides=(1,))[starts]
-    # A row for each place: what is done to a row is done to all lines at once.
-    columns = np.ascontiguousarray(lines.view(np.uint8).reshape(-1, width).T)
+    eights = -(-(data_at + (2 if shape.behind == b"#" else 3) * CLASSIC_BYTES + 3) // 8)
+    lines = np.ndarray((len(text) - 8 * eights + 1,), f"V{8 * eights}", text, strides=(1,))[starts]
+    # A row for each place: what is done to a row is done to all lines at once. Eight at a time they are turned quicker.
+    turned = np.ascontiguousarray(lines.view(np.uint64).reshape(-1, eights).T).view(np.uint8)
+    columns = np.ascontiguousarray(turned.reshape(eights, -1, 8).transpose(0, 2, 1)).reshape(8 * eights, -1)
 
     ok: Mask = ends - starts >= data_at
     for at, constant in ((0, shape.before), (between_at, shape.between), (behind_at, shape.behind)):
