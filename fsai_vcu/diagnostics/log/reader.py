@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import can
 
 STDIN: Final = "-"
-_BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
+_BLOCK_BYTES: Final = 1 << 21  # more than that does not stay in a processor's cache
 _BATCH: Final = 10_000
 _MF4_BATCH: Final = 100_000  # of columns, which cost little more than their memory
 
