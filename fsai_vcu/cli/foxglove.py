@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
 from importlib.resources import files
+from itertools import chain, islice
 from typing import Any, Final
 
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
@@ -46,6 +47,11 @@ def run(args: argparse.Namespace) -> int:
     check_server(args)
     decoding = Decoding("foxglove", args)
     sources = Sources("foxglove", [args.source], decoding)
+    source = sources.chunks(args.seconds)
+    first = list(islice(source, 1))  # opened before anybody is told of a server
+    if not first:
+        return sources.status
+    chunks = chain(first, source)
     try:
         server = foxglove.start_server(name=f"fsai-vcu {sources.name}", host=args.host, port=args.port)
     except (OSError, RuntimeError) as error:
@@ -56,7 +62,6 @@ def run(args: argparse.Namespace) -> int:
     ended: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
     try:
-        chunks = sources.chunks(args.seconds)
         for frames in chunks if sources.live else _as_recorded(chunks, ended):
             if ended:
                 break

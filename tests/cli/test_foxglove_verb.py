@@ -52,6 +52,18 @@ def test_a_client_receives_each_message_as_a_topic(log: Path) -> None:
         assert server.wait(30) == 0
 
 
+@pytest.mark.parametrize(("text", "words"), [(None, "No such file or directory"), ("", "no frames in it")])
+def test_a_log_without_frames_is_one_line_and_no_server(
+    text: str | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    if text is not None:
+        log.write_text(text)
+    assert main(["foxglove", str(log), "--port", "0"]) == 1
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", f"fsai-vcu foxglove: {log}: {words}\n")
+
+
 def test_the_layout_names_topics_of_the_car(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["foxglove", "--layout"]) == 0
     assert "/can/VCU2AI_Steer.ANGLE" in json.dumps(json.loads(capsys.readouterr().out))

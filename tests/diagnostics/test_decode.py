@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import cantools.database
+import numpy as np
 import pytest
 from cantools.database.can import Database
 from hypothesis import given, settings
@@ -20,6 +21,7 @@ from fsai_vcu.diagnostics.decode.databases import databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.log.characters import Texts, lines_of, number_texts, texts_of
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
@@ -225,6 +227,37 @@ def test_a_64_bit_number_and_special_floats_keep_every_bit() -> None:
 
 
 # ---------------------------------------------------------------- printed
+
+
+def written_by(texts: Texts) -> list[str]:
+    return bytes(lines_of([texts], len(texts.items))).decode().splitlines()
+
+
+def test_numbers_are_written_as_repr_writes_them() -> None:
+    decimals = [
+        float(f"{digits}e{power}") for power in range(-325, 309) for digits in ("1", "1.7", "9.999999999999999")
+    ]
+    borders = np.array([*(2.0**power for power in range(-1074, 1024)), *decimals])
+    near = np.concatenate([np.nextafter(borders, way) for way in (-np.inf, np.inf)])
+    whole = 2.0**53 + np.arange(-2000, 2000)
+    chance = np.random.default_rng(3)
+    any_bits = chance.integers(0, 1 << 64, 200_000, dtype=np.uint64)
+    singles = (any_bits & np.uint64(0xFFFF_FFFF)).astype(np.uint32).view(np.float32)
+    scaled = np.concatenate([np.arange(65536) * scale for scale in (0.1, 0.001, 3.91, 0.00195313, 1e-7)])
+    with np.errstate(invalid="ignore"):  # of signalling NaNs
+        floats = np.concatenate([borders, near, whole, any_bits.view(np.float64), singles.astype(np.float64), scaled])
+    for numbers in (floats, -floats, any_bits, any_bits.view(np.int64), np.array([0, -(1 << 63)])):
+        expected = [*map(repr, numbers.tolist())]
+        assert written_by(number_texts(numbers, lambda others: [*map(repr, others)])) == expected
+
+
+@given(st.lists(st.lists(st.text(st.characters(exclude_characters="\n\0", codec="utf-8"), max_size=40), min_size=6)))
+@settings(max_examples=200, deadline=None)
+def test_texts_of_any_lengths_stand_beside_each_other(rows: list[list[str]]) -> None:
+    rows = [row[:6] for row in rows]
+    parts = [part for column in range(6) for part in (texts_of([row[column] for row in rows]), b"," * (column // 2))]
+    expected = "".join("".join(t + "," * (n // 2) for n, t in enumerate(row)) + "\n" for row in rows)
+    assert bytes(lines_of(parts, len(rows))).decode() == expected
 
 
 def lines(decoder: Decoder, frames: Frames, **options: bool) -> list[bytearray]:

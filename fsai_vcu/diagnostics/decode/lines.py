@@ -21,7 +21,7 @@ from fsai_vcu.diagnostics.decode.text import MessageText, ShortText, SignalText,
 from fsai_vcu.diagnostics.log.candump import channel_text, hex_text, log_parts, time_text
 from fsai_vcu.diagnostics.log.candump_line import log_line
 from fsai_vcu.diagnostics.log.candump_line import time_text as one_time_text
-from fsai_vcu.diagnostics.log.characters import Characters, Part, characters_of, matrix_of, put
+from fsai_vcu.diagnostics.log.characters import Part, length_of, put_parts, texts_of
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Ints, LogFrame, Words
 
 _EXTENDED_SHIFT: Final = EXTENDED_KEY.bit_length() - EXTENDED.bit_length()
@@ -53,51 +53,55 @@ class LineWriter:
 
     def block(self, frames: Frames) -> bytearray:
         """All lines of `frames`, each with its line end."""
-        return self._written(frames, self._heads(frames), self._line) if len(frames) else bytearray()
+        return self._written(frames, self._heads, self._line)
 
     def tails(self, frames: Frames) -> list[bytes]:
         """For each frame what it says, to stand behind the frame itself; with the line end."""
-        heads = np.zeros((len(frames), 0), np.uint8)
-        return [bytes(line) + b"\n" for line in self._written(frames, heads, self._tail).split(b"\n")[:-1]]
+        return [line + b"\n" for line in bytes(self._written(frames, lambda _: [], self._tail)).split(b"\n")[:-1]]
 
-    def _written(self, frames: Frames, heads: Characters, singly: Callable[[LogFrame], str]) -> bytearray:
+    def _written(
+        self, frames: Frames, heads: Callable[[Frames], list[Part]], singly: Callable[[LogFrame], str]
+    ) -> bytearray:
         """Each frame's head and what it says; `singly` writes both for a frame that is unusual."""
-        parts: list[tuple[Ints, Characters]] = []
+        tails: list[tuple[Ints, list[Part]]] = []
         unusual = frames.flags & (ERROR | REMOTE | FD) != 0
         for layout, rows in self._decoder.by_message(frames):
             rows = rows[~unusual[rows]]
-            if layout is None:
-                parts.append((rows, self._unknown(frames.can_id[rows])))
-                continue
-            usual = (frames.length[rows] == layout.length) & layout.plain
-            unusual[rows[~usual]] = True
-            rows = rows[usual]
-            parts.append((rows, self._usual(layout, frames.word[rows])))
-        widths = np.zeros(len(frames), np.int64)
-        for rows, tails in parts:
-            widths[rows] = heads.shape[1] + tails.shape[1]
+            if layout is not None:
+                usual = (frames.length[rows] == layout.length) & layout.plain
+                unusual[rows[~usual]] = True
+                rows = rows[usual]
+            if len(rows):
+                say = self._unknown(frames.can_id[rows]) if layout is None else self._usual(layout, frames.word[rows])
+                tails.append((rows, say))
+        usual = np.flatnonzero(~unusual)
+        head = heads(frames.only(usual))
+        lengths = np.zeros(len(frames), np.int64)
+        lengths[usual] = head_lengths = np.broadcast_to(length_of(head), len(usual))
+        for rows, tail in tails:
+            lengths[rows] += length_of(tail)
         lines = [(row, singly(frames.frame(row)).encode()) for row in np.flatnonzero(unusual).tolist()]
         for row, line in lines:
-            widths[row] = max(heads.shape[1], len(line))
-        ends = np.cumsum(widths)
-        begins = ends - widths
-        out = bytearray(int(ends[-1]) if len(ends) else 0)
-        put(out, begins, heads)
-        for rows, tails in parts:
-            put(out, begins[rows] + heads.shape[1], tails)
+            lengths[row] = len(line)
+        ends = np.cumsum(lengths)
+        begins = ends - lengths
+        out = bytearray(int(lengths.sum()))
+        for rows, tail in tails:
+            put_parts(out, ends[rows], tail, int(head_lengths.min()))
+        if len(usual):
+            put_parts(out, begins[usual] + head_lengths, head)
         for row, line in lines:
-            out[begins[row] : ends[row]] = line.ljust(widths[row], b"\0")
-        return out.translate(None, b"\0")
+            out[begins[row] : ends[row]] = line
+        return out
 
-    def _unknown(self, can_ids: npt.NDArray[np.uint32]) -> Characters:
+    def _unknown(self, can_ids: npt.NDArray[np.uint32]) -> list[Part]:
         ids, where = np.unique(can_ids, return_inverse=True)
-        texts = [
-            ',"message":null,"signals":{}}' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})"
-            for can_id in ids.tolist()
-        ]
-        return matrix_of([np.take(characters_of(texts), where, axis=0), b"\n"], len(can_ids))
+        return [texts_of([self._unknown_text(can_id) for can_id in ids.tolist()]).at(where)]
 
-    def _usual(self, layout: MessageLayout, words: Words) -> Characters:
+    def _unknown_text(self, can_id: int) -> str:
+        return ',"message":null,"signals":{}}\n' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})\n"
+
+    def _usual(self, layout: MessageLayout, words: Words) -> list[Part]:
         """What the frames of a plain message say, from their payloads."""
         text = self._messages.get(layout.key)
         if text is None:
@@ -107,7 +111,7 @@ class LineWriter:
         for before, signal, values in zip(text.before, layout.signals, text.signals, strict=True):
             ordered = words.byteswap() if signal.big_endian else words
             parts += before.encode(), values.of(ordered >> np.uint64(signal.start))
-        return matrix_of([*parts, text.end.encode()], len(words))
+        return [*parts, text.end.encode()]
 
     def _text_of(self, signal: SignalLayout) -> SignalText:
         """Signals whose values have the same texts share them."""
@@ -121,10 +125,10 @@ class LineWriter:
             )
         return self._texts[key]
 
-    def _heads(self, frames: Frames) -> Characters:
+    def _heads(self, frames: Frames) -> list[Part]:
         """Everything up to what a frame says: candump's line, or the object up to the message's name."""
         if not self._json:
-            return matrix_of(log_parts(frames), len(frames))
+            return log_parts(frames)
         keys = frames.can_id | ((frames.flags & np.uint32(EXTENDED)) << np.uint32(_EXTENDED_SHIFT))
         distinct, where = np.unique(keys, return_inverse=True)
         ids = [
@@ -132,8 +136,8 @@ class LineWriter:
             for key in distinct.tolist()
         ]
         escaped = replace(frames, channels=[json.dumps(name)[1:-1] for name in frames.channels])
-        parts: list[Part] = [b'{"t":', time_text(frames.t_ns), b',"channel":"', channel_text(escaped)]
-        return matrix_of([*parts, np.take(characters_of(ids), where, axis=0), hex_text(frames), b'"'], len(frames))
+        time, channel = time_text(frames.t_ns), channel_text(escaped)
+        return [b'{"t":', time, b',"channel":"', channel, texts_of(ids).at(where), hex_text(frames), b'"']
 
     # ------------------------------------------------------------ one by one
 
@@ -160,7 +164,7 @@ class LineWriter:
                 return f',"message":{json.dumps(name)},"signals":{{}}}}\n'
             return f" :: remote request for {name or 'an unknown frame id'}\n"
         if layout is None:
-            return self._unknown(np.array([frame.can_id], np.uint32)).tobytes().decode()
+            return self._unknown_text(frame.can_id)
         return self._careful(layout, frame.data)
 
     def _careful(self, layout: MessageLayout, data: bytes) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import values_of
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
-from fsai_vcu.diagnostics.log.characters import Characters, characters_of
+from fsai_vcu.diagnostics.log.characters import Texts, number_texts, texts_of
 from fsai_vcu.diagnostics.log.frames import Ints, Words
 
 _SMALL: Final = 256  # so many values are all learned at once
@@ -51,7 +51,7 @@ class SignalText:
     def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool, rounded: bool = False) -> None:
         self._layout = layout
         values = 1 << layout.length if layout.length <= _TABLE_BITS else 0
-        self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
+        self._table = Texts(np.zeros(values, "V1"), np.zeros(values, np.int64))  # by the bits of a value
         self._known = np.zeros(values, np.bool_)
         self._complete = False
         self._json = as_json
@@ -61,6 +61,7 @@ class SignalText:
         unit = f" {_one_line(layout.unit)}" if layout.unit and not as_json else ""
         # A word has no unit: where there can be words, the unit belongs to the single text.
         self.behind, self._unit = ("", unit) if self._words else (unit, "")
+        self._numbers = not self._words  # it is numbers alone that are written
         self._decimals = 0
         if rounded and not layout.is_float:
             places = (-int(Decimal(str(each)).as_tuple().exponent) for each in (layout.scale, layout.offset))
@@ -73,32 +74,29 @@ class SignalText:
             return [self._words.get(raw, f"{value}{self._unit}") for raw, value in pairs]
         return list(map(json_value if self._json else repr, values))
 
-    def of(self, words: Words) -> Characters:
-        """A row of characters for the lowest bits of each word, NUL behind."""
+    def of(self, words: Words) -> Texts:
+        """A text for the lowest bits of each word."""
         bits = (words & np.uint64((1 << self._layout.length) - 1)).view(np.int64)
         if not len(self._known):
-            distinct, where = np.unique(bits, return_inverse=True)
-            return np.take(self._written(distinct), where, axis=0)
+            return self._written(bits)
         if not self._complete and not (known := np.take(self._known, bits)).all():
             # Where many come up, the rest is learned with them.
             many = 4 * np.count_nonzero(self._known) > len(self._known) or len(self._known) <= _SMALL
             self._learn(np.flatnonzero(~self._known) if many else np.unique(bits[~known]))
-        return np.take(self._table, bits, axis=0)
+        return self._table.at(bits)
 
     def _learn(self, fresh: Ints) -> None:
-        new = self._written(fresh)
-        if new.shape[1] > self._table.shape[1]:
-            self._table = np.pad(self._table, ((0, 0), (0, new.shape[1] - self._table.shape[1])))
-        self._table[fresh, : new.shape[1]] = new
+        self._table = self._table.put(fresh, self._written(fresh))
         self._known[fresh] = True
         self._complete = bool(self._known.all())
 
-    def _written(self, bits: Ints) -> Characters:
-        numbers, raw = values_of(self._layout, bits.view(np.uint64))
-        values = numbers.tolist()
+    def _written(self, bits: Ints) -> Texts:
+        values, raw = values_of(self._layout, bits.view(np.uint64))
         if self._decimals:
-            values = [round(value, self._decimals) for value in values]
-        return characters_of(self.texts(raw.tolist(), values))
+            values = np.array([round(value, self._decimals) for value in values.tolist()])
+        if self._numbers:
+            return number_texts(values, lambda others: self.texts(others, others))
+        return texts_of(self.texts(raw.tolist(), values.tolist()))
 
 
 class ShortText(SignalText):
@@ -110,6 +108,7 @@ class ShortText(SignalText):
         for ending in ("_STATUS", "_STATE", "_SIGNAL"):
             self._name = self._name.removesuffix(ending)
         self._unit, self.behind = self._unit or self.behind, ""
+        self._numbers = False
         self._flag = layout.length == 1
         self._alone = layout.name.endswith("_STATE")
 

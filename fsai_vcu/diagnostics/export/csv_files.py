@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import IO, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
 from fsai_vcu.diagnostics.log.candump import time_text
-from fsai_vcu.diagnostics.log.characters import Part, lines_of
+from fsai_vcu.diagnostics.log.characters import Part, Texts, lines_of, number_texts, texts_of
 
 _QUOTED: Final = ('"', ",", "\n", "\r")
 
@@ -37,20 +36,19 @@ def csv_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Call
         yield write
 
 
-def _texts(column: Column, values: Values, *, words: bool) -> npt.NDArray[np.uint8]:
-    """One text for each row, NUL behind; a value that comes again is written once."""
+def _texts(column: Column, values: Values, *, words: bool) -> Texts:
+    """One text for each row."""
     numbers = values.data
     choices = column.choices if words else {}
-    # Floats by their bits: -0.0 is not 0.0 for who reads the text.
-    keys = numbers.view(np.int64) if numbers.dtype == np.float64 else numbers
-    _, first, where = np.unique(keys, return_index=True, return_inverse=True)
-    texts = [_quoted(choices.get(value, repr(value))) if choices else repr(value) for value in numbers[first].tolist()]
-    table = np.array([*(text.encode() for text in texts), b""])
-    where = np.where(values.mask, len(texts), where)
-    width = table.dtype.itemsize
-    if not width:
-        return np.zeros((len(numbers), 1), np.uint8)
-    return table.view(np.uint8).reshape(-1, width)[where]
+    if choices:
+        # Floats by their bits: -0.0 is not 0.0 for who reads the text.
+        keys = numbers.view(np.int64) if numbers.dtype == np.float64 else numbers
+        _, first, where = np.unique(keys, return_index=True, return_inverse=True)
+        texts = [_quoted(choices.get(value, repr(value))) for value in numbers[first].tolist()]
+        items, lengths = texts_of(texts).at(where)
+    else:
+        items, lengths = number_texts(numbers, lambda others: [*map(repr, others)])
+    return Texts(items, np.where(np.ma.getmaskarray(values), 0, lengths))
 
 
 def _quoted(text: str) -> str:

@@ -26,7 +26,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from fsai_vcu.diagnostics.export.mcap_summary import Summary
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Table
-from fsai_vcu.diagnostics.log.characters import put
+from fsai_vcu.diagnostics.log.characters import window
 from fsai_vcu.diagnostics.log.frames import Ints
 
 PROFILE: Final = "ros2"
@@ -115,7 +115,7 @@ class McapTables:
         out = bytearray(int(widths.sum()))
         first = 0
         for records in tables:
-            put(out, begins[first : first + len(records)], records.view(np.uint8).reshape(-1, records.itemsize))
+            window(out, records.itemsize)[begins[first : first + len(records)]] = records.view(f"V{records.itemsize}")
             first += len(records)
         self._add(memoryview(out), ends, numbers[order], times[order])
 

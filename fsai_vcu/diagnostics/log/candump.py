@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.log.candump_line import (
     parse_line,
     read_lines,
 )
-from fsai_vcu.diagnostics.log.characters import Characters, Part, lines_of
+from fsai_vcu.diagnostics.log.characters import Part, Texts, items_of, lines_of, texts_of, widened
 from fsai_vcu.diagnostics.log.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -39,6 +39,7 @@ from fsai_vcu.diagnostics.log.frames import (
 )
 
 _FRONT, _BACK = 16, 128  # bytes around a block: the columns of a line may end behind it
+Characters = npt.NDArray[np.uint8]
 _EIGHT = np.arange(CLASSIC_BYTES)[:, np.newaxis]
 _SHAPES = 40  # more kinds of lines than that in one block, and the rest is read one by one
 
@@ -210,51 +211,45 @@ _ID3: Final = np.array([f"{n:03X}" for n in range(MAX_STANDARD_ID + 1)], "S3")
 _BYTE: Final = np.array([f"{n:02X}" for n in range(256)], "S2")
 
 
-def _taken(table: npt.NDArray[np.bytes_], index: npt.NDArray[np.integer]) -> Characters:
-    """The texts of a table, one row for each row of `index`."""
-    width = table.itemsize * (index.shape[1] if index.ndim > 1 else 1)
-    return np.take(table, index).view(np.uint8).reshape(len(index), width)
-
-
-def time_text(t_ns: Ints, width: int = 1) -> Characters:
-    """Seconds with six decimals as candump writes them, at least `width` digits before the point; NUL in front."""
-    count = len(t_ns)
+def time_text(t_ns: Ints, width: int = 1) -> Texts:
+    """Seconds with six decimals as candump writes them, at least `width` digits before the point."""
     seconds = t_ns // 1_000_000_000  # dividing is quick, the remainder is not
     micros = (t_ns - seconds * 1_000_000_000).astype(np.uint32) // np.uint32(1000)
     millis = micros // np.uint32(1000)
-    distinct = np.flatnonzero(np.diff(seconds, prepend=-1))  # in a log a second lasts for many frames
-    texts = np.array([f"{second:0{width}d}.".rjust(12, "\0").encode() for second in seconds[distinct].tolist()], "S12")
-    wide = max((len(text.lstrip(b"\0")) for text in texts.tolist()), default=width + 1)
-    out = np.empty((count, wide + 6), np.uint8)
-    table = np.ascontiguousarray(texts.view(np.uint8).reshape(-1, 12)[:, 12 - wide :])
-    out[:, :wide] = np.repeat(table, np.diff(distinct, append=count), axis=0)
-    out[:, wide : wide + 3] = _taken(_THREE, millis)
-    out[:, wide + 3 :] = _taken(_THREE, micros - millis * np.uint32(1000))
-    return out
+    begins = np.flatnonzero(np.diff(seconds, prepend=-1))  # in a log a second lasts for many frames
+    texts = [f"{second:0{width}d}." for second in seconds[begins].tolist()]
+    whole, lengths = texts_of(texts)
+    lasts = np.diff(begins, append=len(t_ns))
+    out = np.empty(len(t_ns), [("seconds", whole.dtype), ("millis", "S3"), ("micros", "S3")])
+    out["seconds"] = np.repeat(whole, lasts)
+    out["millis"] = _THREE.take(millis)
+    out["micros"] = _THREE.take(micros - millis * np.uint32(1000))
+    alike = len(set(map(len, texts))) < 2
+    return Texts(out.view(f"V{out.itemsize}"), out.itemsize if alike else np.repeat(lengths, lasts) + 6)
 
 
-def id_text(frames: Frames) -> Characters:
-    """Identifiers as candump writes them: three or eight digits, NUL behind."""
+def id_text(frames: Frames) -> Texts:
+    """Identifiers as candump writes them: three or eight digits."""
     wide = (frames.flags & (EXTENDED | ERROR)) != 0
-    three = _taken(_ID3, frames.can_id & np.uint32(MAX_STANDARD_ID))
+    three = _ID3.take(frames.can_id & np.uint32(MAX_STANDARD_ID)).view("V3")
     if not wide.any():
-        return three
+        return Texts(three, 3)
     number = frames.can_id | np.where((frames.flags & ERROR) != 0, np.uint32(ERROR_FLAG), np.uint32(0))
-    eight = _taken(_BYTE, number.astype(">u4").view(np.uint8).reshape(-1, 4))
-    return np.where(wide[:, np.newaxis], eight, np.pad(three, ((0, 0), (0, 5))))
+    eight = items_of(_BYTE.take(number.astype(">u4").view(np.uint8).reshape(-1, 4)))
+    return Texts(np.where(wide, eight, widened(three, 8)), np.where(wide, 8, 3))
 
 
-def hex_text(frames: Frames) -> Characters:
-    """The first eight data bytes as sixteen digits, NUL behind."""
-    digits = np.where((frames.flags & REMOTE) != 0, np.uint8(0), 2 * np.minimum(frames.length, CLASSIC_BYTES))
-    return _taken(_BYTE, frames.data) * (np.arange(2 * CLASSIC_BYTES) < digits[:, np.newaxis])
+def hex_text(frames: Frames) -> Texts:
+    """The first eight data bytes in hexadecimal digits."""
+    length = np.where((frames.flags & REMOTE) != 0, 0, np.minimum(frames.length, CLASSIC_BYTES))
+    word = frames.word << (8 * (CLASSIC_BYTES - length)).astype(np.uint64)  # the last of its bytes is the last
+    return Texts(items_of(_BYTE.take(word.view(np.uint8).reshape(-1, CLASSIC_BYTES))), 2 * length)
 
 
 def channel_text(frames: Frames) -> Part:
     if len(frames.channels) == 1:
         return frames.channels[0].encode("utf-8", "replace")
-    names = np.array([name.encode("utf-8", "replace") for name in frames.channels] or [b"-"])
-    return np.take(names.view(np.uint8).reshape(len(names), -1), frames.channel, axis=0)
+    return texts_of(frames.channels or ["-"]).at(frames.channel)
 
 
 def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
@@ -265,7 +260,7 @@ def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
 
 def log_lines(frames: Frames, time_digits: int = 1, *, marks: bool = False) -> list[bytes]:
     """Each frame as a line of `candump -L`, without its line end; with `marks` of `candump -L -x`, R or T."""
-    lines = lines_of(log_parts(frames, time_digits), len(frames)).split(b"\n")[:-1]
+    lines = bytes(lines_of(log_parts(frames, time_digits), len(frames))).split(b"\n")[:-1]
     for row in np.flatnonzero(frames.flags & (REMOTE | FD)).tolist():
         lines[row] = log_line(frames.frame(row), time_digits).encode()
     if marks:

@@ -1,49 +1,131 @@
-"""Text, or records, as columns of bytes: what is written of many rows at once."""
+"""Text of many rows at once, as columns of characters."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import orjson
 
-Characters = npt.NDArray[np.uint8]
-Part = bytes | Characters
+_LONGEST: Final = 32  # no number has so many characters
 
-
-def characters_of(texts: Sequence[str]) -> Characters:
-    """One text a row, NUL behind."""
-    try:
-        array = np.array(texts, "S")
-    except UnicodeEncodeError:  # it takes ASCII alone
-        array = np.array([text.encode() for text in texts])
-    return array.view(np.uint8).reshape(len(texts), array.itemsize)
+Items = npt.NDArray[np.void]
+Places = npt.NDArray[np.integer]
 
 
-def matrix_of(parts: Sequence[Part], count: int) -> Characters:
-    """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters pad."""
-    template = b"".join(part if isinstance(part, bytes) else bytes(part.shape[1]) for part in parts)
-    matrix = np.empty((count, len(template)), np.uint8)
-    matrix[:] = np.frombuffer(template, np.uint8)
-    at = 0
-    for part in parts:
+class Texts(NamedTuple):
+    """One text a row: the last `lengths` bytes of its item. What stands in front of them is of no account."""
+
+    items: Items
+    lengths: Places | int
+
+    def at(self, rows: Places) -> Texts:
+        return Texts(self.items.take(rows), self.lengths if isinstance(self.lengths, int) else self.lengths.take(rows))
+
+    def put(self, rows: Places, new: Texts) -> Texts:
+        """With the new texts in these rows; those that were there are written over."""
+        items = widened(self.items, new.items.itemsize)
+        items[rows] = widened(new.items, items.itemsize)
+        self.lengths[rows] = new.lengths  # type: ignore[index]
+        return Texts(items, self.lengths)
+
+
+Part = bytes | Texts
+
+
+def characters(items: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Of each item a row."""
+    return items.view(np.uint8).reshape(len(items), items.itemsize)
+
+
+def items_of(rows: npt.NDArray[Any]) -> Items:
+    """Of each row an item."""
+    rows = np.ascontiguousarray(rows)
+    return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel()
+
+
+def widened(items: Items, width: int) -> Items:
+    """With zeros in front, where they are not so wide."""
+    more = width - items.itemsize
+    return items_of(np.pad(characters(items), ((0, 0), (more, 0)))) if more > 0 else items
+
+
+def texts_of(texts: Sequence[str]) -> Texts:
+    encoded = [text.encode("utf-8", "replace") for text in texts]
+    lengths = np.array([*map(len, encoded)])
+    width = max(1, lengths.max(initial=0))
+    return Texts(np.array([text.rjust(width) for text in encoded], f"S{width}").view(f"V{width}"), lengths)
+
+
+def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Sequence[str]]) -> Texts:
+    """At least one number, each as `repr` writes it; `singly` writes those that are not finite, and objects."""
+    if numbers.dtype == np.object_:
+        return texts_of(singly(numbers.tolist()))
+    text = bytes(_LONGEST) + orjson.dumps(numbers, option=orjson.OPT_SERIALIZE_NUMPY)
+    ends = np.append(np.flatnonzero(np.frombuffer(text, np.uint8) == ord(",")), len(text) - 1)
+    lengths = np.diff(ends, prepend=_LONGEST) - 1
+    width = int(lengths.max())
+    found = Texts(window(text, width)[ends - width], lengths)
+    if numbers.dtype != np.float64:
+        return found
+    # It writes 0.00001 and 1e-9 where repr has 1e-05 and 1e-09.
+    size = np.abs(numbers)
+    other = np.flatnonzero(~(size < np.inf) | (size >= 1e-9) & (size < 1e-4))
+    return found.put(other, texts_of(singly(numbers[other].tolist()))) if len(other) else found
+
+
+def length_of(parts: Sequence[Part]) -> Places | int:
+    """Of all the parts together, in each row."""
+    return sum((len(part) if isinstance(part, bytes) else part.lengths for part in parts), start=0)
+
+
+def put_parts(out: bytearray, ends: Places, parts: Sequence[Part], before: int = 0) -> None:
+    """Write in each row the parts one behind the other, so that they end there.
+
+    before: so many bytes in front of each row are written later. The last part comes first, for what stands in front
+    of a text goes where other parts will be.
+    """
+    room = before + sum(_certain(part) for part in parts)
+    for part in reversed(parts):
+        room -= _certain(part)
         if isinstance(part, bytes):
-            at += len(part)
+            if part:
+                ends = ends - len(part)
+                window(out, len(part))[ends] = np.void(part)
         else:
-            matrix[:, at : at + part.shape[1]] = part
-            at += part.shape[1]
-    return matrix
+            _put_texts(out, ends, part, room)
+            ends = ends - part.lengths
 
 
-def lines_of(parts: Sequence[Part], count: int) -> bytes:
-    """The same as lines, without the padding."""
-    return matrix_of([*parts, b"\n"], count).tobytes().translate(None, b"\0")
+def _certain(part: Part) -> int:
+    """Its length, if it has one in every row."""
+    return len(part) if isinstance(part, bytes) else part.lengths if isinstance(part.lengths, int) else 0
 
 
-def put(out: bytearray, places: npt.NDArray[np.int64], rows: Characters) -> None:
-    """Copy each row of characters to its place."""
-    width = rows.shape[1]
-    if width and len(rows):
-        # An item of the width of a row at every byte.
-        window = np.ndarray((len(out) - width + 1,), f"V{width}", buffer=out, strides=(1,))
-        window[places] = np.ascontiguousarray(rows).view(f"V{width}").ravel()
+def _put_texts(out: bytearray, ends: Places, texts: Texts, room: int) -> None:
+    """With at most `room` bytes in front of each."""
+    items, lengths = texts
+    width = items.itemsize
+    if width <= room or isinstance(lengths, int):
+        window(out, width)[ends - width] = items
+        return
+    for done in range(0, width, room + 1):
+        rows = np.flatnonzero(lengths > done)
+        piece = characters(items[rows])[:, max(0, width - done - room - 1) : width - done]
+        window(out, piece.shape[1])[ends[rows] - done - piece.shape[1]] = items_of(piece)
+
+
+def lines_of(parts: Sequence[Part], count: int) -> bytearray:
+    """A line of each row."""
+    lengths = np.broadcast_to(length_of(parts) + 1, count)
+    out = bytearray(int(lengths.sum()))
+    if count:
+        put_parts(out, np.cumsum(lengths), [*parts, b"\n"])
+    return out
+
+
+def window(buffer: bytes | bytearray, width: int) -> Items:
+    """An item of so many bytes at every byte."""
+    return np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer=buffer, strides=(1,))

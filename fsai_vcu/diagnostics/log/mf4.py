@@ -26,15 +26,15 @@ from fsai_vcu.diagnostics.log.frames import (
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 _MARKS: Final = {"EDL": FD, "BRS": BRS, "ESI": ESI}
 _EXTENDED_BIT: Final = 1 << 31  # of an identifier, where no IDE stands beside it
-_RECORDS: Final = 1 << 18  # at a time: a record has 64 bytes of data, of which few are used
+_AT_ONCE: Final = 1 << 22  # bytes of records: each has 64 of data, of which few are used
 
 _USED: Final = np.array([(1 << 8 * length) - 1 for length in range(CLASSIC_BYTES + 1)], np.uint64)  # bits, by length
 
 Columns = dict[str, npt.NDArray[Any]]
 
 
-def bus_frames(mdf: Any, problem: Callable[[str], None]) -> Frames | None:
-    """All frames of an open `asammdf.MDF`, in the order of time; None where it is no bus log.
+def bus_frames(mdf: Any, problem: Callable[[str], None]) -> list[Frames] | None:
+    """All frames of an open `asammdf.MDF`, in the order of time and in parts; None where it is no bus log.
 
     `problem` gets what could not be read.
     """
@@ -44,33 +44,36 @@ def bus_frames(mdf: Any, problem: Callable[[str], None]) -> Frames | None:
         for channel in group.channels
         if channel.name in _KINDS
     ]
+    mdf.configure(read_fragment_size=_AT_ONCE)
     parts: list[Frames] = []
+    channels: list[str] = []
     for number, kind in groups:
         try:
-            parts.extend(_group_frames(mdf, number, kind, problem))
+            parts.extend(_group_frames(mdf, number, kind, channels, problem))
         except Exception as error:  # asammdf has no common base class for what a broken file makes it raise
             problem(f"not readable as MF4 after frame {sum(map(len, parts))}: {error or type(error).__name__}")
-    frames = joined(parts)
     if sum(mdf.groups[number].channel_group.cycles_nr > 0 for number, _ in groups) > 1:
-        frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
-    return frames if groups else None
+        frames = joined(parts)
+        parts = [frames.only(np.argsort(frames.t_ns, kind="stable"))]
+    return parts if groups else None
 
 
-def _group_frames(mdf: Any, number: int, kind: str, problem: Callable[[str], None]) -> Iterator[Frames]:
-    """Of one channel group, which has frames of one kind."""
+def _group_frames(
+    mdf: Any, number: int, kind: str, channels: list[str], problem: Callable[[str], None]
+) -> Iterator[Frames]:
+    """Of one channel group, which has frames of one kind. `channels` grows."""
     start_s = mdf.header.start_time.timestamp()
-    for begin in range(0, mdf.groups[number].channel_group.cycles_nr, _RECORDS):
-        part = {"record_offset": begin, "record_count": _RECORDS}
-        signal = mdf.get(kind, number, raw=True, ignore_invalidation_bits=True, **part)
+    for signal in mdf.iter_get(kind, number, raw=True):
         columns = {name.removeprefix(f"{kind}."): signal.samples[name] for name in signal.samples.dtype.names}
         times = signal.timestamps + start_s
         timely = (times >= 0) & (times <= MAX_SECONDS)
         for time in times[~timely].tolist():
             problem(f"a time that is none: {time}")
-        yield _frames(columns, np.rint(np.where(timely, times, 0) * 1e6).astype(np.int64) * 1000, kind).only(timely)
+        t_ns = np.rint(np.where(timely, times, 0) * 1e6).astype(np.int64) * 1000
+        yield _frames(columns, t_ns, kind, channels).only(timely)
 
 
-def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str) -> Frames:
+def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
     count = len(t_ns)
     ids = columns.get("ID", np.zeros(count, np.uint32)).astype(np.uint32)
     flags = np.full(count, _KINDS[kind], np.uint8)
@@ -87,14 +90,19 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str) -> Frames:
     first[:, : payload.shape[1]] = payload[:, :CLASSIC_BYTES]
     word = first.view("<u8").ravel() & _USED[np.minimum(length, CLASSIC_BYTES)]
     bus = columns.get("BusChannel", np.zeros(count, np.uint8))
-    buses = np.flatnonzero(np.bincount(bus))
+    counts = np.bincount(bus)
+    numbers = np.zeros(len(counts), np.int32)
+    for each in np.flatnonzero(counts).tolist():
+        if f"can{each}" not in channels:
+            channels.append(f"can{each}")
+        numbers[each] = channels.index(f"can{each}")
     return Frames(
         t_ns,
         (ids & 0x1FFF_FFFF).astype(np.uint32),
         flags,
         length,
         word,
-        np.searchsorted(buses, bus).astype(np.int32),
-        [f"can{bus}" for bus in buses.tolist()],
+        numbers[bus],
+        channels,
         {row: payload[row, : length[row]].tobytes() for row in np.flatnonzero(length > CLASSIC_BYTES).tolist()},
     )

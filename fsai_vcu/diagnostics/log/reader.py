@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import can
 
 STDIN: Final = "-"
-_BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
+_BLOCK_BYTES: Final = 1 << 21  # more than that does not stay in a processor's cache
 _BATCH: Final = 10_000
 _MF4_BATCH: Final = 100_000  # of columns, which cost little more than their memory
 
@@ -213,20 +213,21 @@ class Log:
         # What asammdf cannot read it also cannot close when it is thrown away, and would say so on stderr.
         hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
         try:
-            with asammdf.MDF(self._path if is_file else io.BytesIO(self._stream.read())) as mdf:
-                frames = bus_frames(mdf, lambda problem: self.problems.add(f"{self.name}: {problem}"))
+            source = self._path if is_file else io.BytesIO(self._stream.read())
+            with asammdf.MDF(source, process_bus_logging=False) as mdf:  # type: ignore[call-arg]
+                parts = bus_frames(mdf, lambda problem: self.problems.add(f"{self.name}: {problem}"))
         except Exception as error:  # the same as in _messages
             self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")
-            frames = frames_of(())
+            parts = []
             error.__traceback__ = None
             gc.collect()
         finally:
             sys.unraisablehook = hook
-        if frames is None:
+        if parts is None:
             self.problems.add(f"{self.name}: an MF4 of signals, not of a bus's frames")
-            return
-        for begin in range(0, len(frames), _MF4_BATCH):
-            yield frames.only(np.arange(begin, min(begin + _MF4_BATCH, len(frames)), dtype=np.int64))
+        for frames in parts or []:
+            for begin in range(0, len(frames), _MF4_BATCH):
+                yield frames.only(np.arange(begin, min(begin + _MF4_BATCH, len(frames)), dtype=np.int64))
 
     def _is_cut_off(self) -> bool:
         """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""
