@@ -6,8 +6,10 @@ import argparse
 import json
 import os
 import sys
+from dataclasses import replace
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, part_of
+from fsai_vcu.diagnostics.explain import IncidentKind
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 from fsai_vcu.interface.errors import UserError
 
@@ -42,6 +44,9 @@ def run(args: argparse.Namespace) -> int:
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)
-    for line in map(json.dumps, verdict.as_dicts()) if args.json else (f"verdict: {verdict.line()}",):
+    told = {kind.slug for kind in IncidentKind}
+    rest = tuple(one for one in verdict.findings if one.severity == "problem" and one.kind not in told)
+    text = (*replace(verdict, findings=rest).lines(), f"verdict: {verdict.line()}")
+    for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
     return verdict.status

@@ -421,11 +421,13 @@ def idle(record: Record, drive_begin_ns: int, t_ns: int) -> ChainLink | None:
     asked = [record.series(signal) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     if not len(wheels) or not all(map(len, asked)) or record.at(sig.AMI, t_ns) in INSPECTIONS:
         return None
-    busy = np.logical_or.reduce([wheels.values >= STANDING_RPM, *(each.sampled(wheels.t_ns) > 0 for each in asked)])
+    steered = np.diff(record.series(sig.STEER).sampled(wheels.t_ns), prepend=0.0) != 0
+    driven = (each.sampled(wheels.t_ns) > 0 for each in asked)
+    busy = np.logical_or.reduce([wheels.values >= STANDING_RPM, steered, *driven])
     since_ns = int(wheels.t_ns[busy][-1]) if busy.any() else drive_begin_ns
     if t_ns - since_ns < IDLE_NS:
         return None
-    words = f"for {ms(t_ns - since_ns)} no wheel turns, and no torque is asked for"
+    words = f"for {ms(t_ns - since_ns)} no wheel turns, and neither torque nor another steering angle is asked for"
     return ChainLink(since_ns, words, 0x512)
 
 
@@ -469,7 +471,8 @@ def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
         step = sig.TORQUE_R.step(held_ns, words)
         candidates.append(candidate(Reason.COMMAND_STALE.slug, Sureness.FITS, lost, step, brake))
     candidates.append(candidate("stop_asked", Sureness.POSSIBLE, brake))
-    what = f"service-brake stop from {record.fastest_wheel.at(t_ns) or 0:.0f} rpm"
+    rpm = record.fastest_wheel.at(t_ns)
+    what = "service-brake stop" + ("" if rpm is None else f" from {rpm:.0f} rpm")
     return Incident(IncidentKind.STOP, t_ns, what, ranked(candidates))
 
 
