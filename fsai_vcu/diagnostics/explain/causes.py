@@ -66,7 +66,6 @@ _REMEDIES: Final = {
     Reason.AS_STATE_UNKNOWN: (
         "compare the VCU's interface revision with the database; look for a second sender of 0x520"
     ),
-    Reason.VCU_REBOOT: "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted",
 }
 
 _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
@@ -173,6 +172,10 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         _TEAM_LOG,
     ),
     **{reason.slug: (reason.words, remedy) for reason, remedy in _REMEDIES.items()},
+    Reason.VCU_REBOOT.slug: (
+        "the VCU restarted",
+        "check its supply: low-voltage battery, LVMS, connectors",
+    ),
     "vcu_hung": (
         "the VCU itself stood still: it sent nothing and received nothing",
         "check the VCU's supply and connectors; if it happens again have its software looked at",
