@@ -116,12 +116,12 @@ def _moment(at_s: float) -> str:
 def _findings(verdict: Verdict) -> str:
     """What check says of the log; incidents have articles of their own."""
     kinds = {kind.slug for kind in IncidentKind}
-    shown = ""
+    shown = "".join(f'<li class="problem"><b>unknown</b>: {escape(why)}.</li>\n' for why in verdict.unknown)
     for finding in verdict.findings:
         if finding.kind not in kinds:
             remedy = f" <b>What to do:</b> {escape(finding.remedy)}." if finding.remedy else ""
             text = escape(verdict.moment(finding) + finding.text)
-            shown += f"<li><b>{finding.severity}</b>: {text}.{remedy}</li>\n"
+            shown += f'<li class="{finding.severity}"><b>{finding.severity}</b>: {text}.{remedy}</li>\n'
     return _section("bus", "On the bus", f'<ul class="notes">\n{shown}</ul>') if shown else ""
 
 
