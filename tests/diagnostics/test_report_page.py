@@ -131,6 +131,13 @@ def test_a_lane_of_two_senders_is_drawn_to_its_end(frames: Frames) -> None:
     assert len(spans) < 500 and "more changes" in spans[-1][2]
 
 
+def test_the_run_is_summed_up_with_its_response_time(html: str) -> None:
+    run = html[html.index('<h2 id="run">') : html.index('<h2 id="plots">')]
+    assert all(
+        f"<dt>{name}</dt>" in run for name in ("top speed", "distance", "time in each state", "handshake response")
+    )
+
+
 def test_what_is_not_known_is_on_the_page(frames: Frames) -> None:
     assert "<b>unknown</b>: no 0x520 in the log" in page(frames.only(frames.can_id != 0x520), "run.log")
 
