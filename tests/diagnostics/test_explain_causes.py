@@ -83,7 +83,7 @@ def status_repeats_itself_for_400_ms(run: Run) -> None:
 
 def remote_falls_silent(run: Run) -> None:
     car_drops(0x181)(run)
-    run.go_on(0.3)
+    run.go_on(0.12)
     run.switch(remote_radio_ok=False)
 
 
