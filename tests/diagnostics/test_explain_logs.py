@@ -17,6 +17,7 @@ from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.incident import Sureness
 from fsai_vcu.diagnostics.explain.render import verdict
@@ -488,6 +489,15 @@ def test_a_part_of_the_log_is_told_with_causes_from_the_whole(explain: Explain, 
     status, out, _ = explain(path, "--from", 15, "--json")
     assert status == 1
     assert '"finished_while_moving"' in out
+
+
+def test_a_part_in_emergency_brake_is_not_ok(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
+    path = written(stopped, tmp_path / "run.log")
+    states = Record(stopped).series(sig.AS_STATE)
+    braked_s = (int(states.t_ns[states.values == sig.EMERGENCY][0]) - int(stopped.t_ns[0])) / S
+    status, out, _ = explain(path, "--from", braked_s + 0.05)
+    assert status == 1 and out.splitlines()[-1].startswith("verdict: ")
+    assert "problem: at " in out and "it began before the log did" in out
 
 
 @pytest.mark.parametrize(
