@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+from dataclasses import replace
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, part_of
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
@@ -33,15 +34,18 @@ def run(args: argparse.Namespace) -> int:
     if not len(frames):
         return 1
     record, _, verdict = judged(args, sources, decoding, frames)
-    begin_s, end_s = part.seconds(record.begin_ns)
-    length_s = (record.end_ns - record.begin_ns) / 1e9
-    if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):
-        raise UserError(f"no frame of {sources.name} is in that part")
-    verdict = verdict.between(begin_s, end_s)
-    shown = verdict.explanation
+    shown = verdict.between(*part.seconds(record.begin_ns)).explanation
+    if part:
+        frames = part.of(frames)
+        if not len(frames):
+            raise UserError(f"no frame of {sources.name} is in that part")
+        verdict = replace(judged(args, sources, decoding, frames)[2], begin_ns=record.begin_ns)
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)
-    for line in map(json.dumps, verdict.as_dicts()) if args.json else (f"verdict: {verdict.line()}",):
+    told = {(incident.kind.slug, incident.t_ns) for incident in shown.incidents}
+    rest = tuple(one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told)
+    text = (*replace(verdict, findings=rest).lines(), f"verdict: {verdict.line()}")
+    for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
     return verdict.status

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from fsai_vcu.cli import report
 from fsai_vcu.cli.sources import (
     Decoding,
     Sources,
@@ -20,8 +21,9 @@ from fsai_vcu.interface.errors import UserError
 EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
 ABOUT = """\
 A signal is NAME or MESSAGE.NAME, * and ? stand for anything; signals of one
-unit share an axis. Needs matplotlib (pip install 'fsai-vcu[plot]'); the ending
-of the file says the format: png, svg, pdf."""
+unit share an axis. The ending of the file says the format: png, svg, pdf, which
+need matplotlib (pip install 'fsai-vcu[plot]'), or html: the page of report, with
+its exit status, and these signals on top."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +39,9 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("plot", [args.source], part=part_of(args, decoding))
     if sources.live:
         raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
+    if args.output.suffix == ".html":
+        page = vars(args) | {"sources": [args.source], "signals": ",".join(args.signals), "seconds": None}
+        return report.run(argparse.Namespace(**page))
     sources.check_output(args.output)
     record = record_in(args, sources, decoding)
     if record is None:

@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         topics.stop()
     _take(listener, topics, recording)
     recording.close(time.monotonic_ns())
-    return _result(args, listener, recording, place.number, stopped=signal.SIGTERM in ending)
+    return _result(args, listener, recording, place, stopped=signal.SIGTERM in ending)
 
 
 def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, ending: list[int]) -> None:
@@ -157,10 +157,12 @@ def _ending() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _result(args: argparse.Namespace, listener: Listener, recording: Recording, segment: int, *, stopped: bool) -> int:
+def _result(
+    args: argparse.Namespace, listener: Listener, recording: Recording, place: SegmentFolder, *, stopped: bool
+) -> int:
     """The exit status. stopped: by the service manager, for which a car that was never on is no failure."""
     lost = recording.lost + listener.overrun
-    where = f"{args.output}, up to segment {segment}" if segment else f"{args.output}"
+    where = f"{args.output}, up to segment {place.number}" if place.number else f"{args.output}"
     ros = f" and {recording.messages} ROS messages" if args.ros else ""
     print(f"{recording.taken} frames{ros} in {where}", file=sys.stderr)
     if lost:
@@ -170,9 +172,8 @@ def _result(args: argparse.Namespace, listener: Listener, recording: Recording, 
     silent = not (recording.taken or recording.messages or lost)
     if silent:
         _say(f"nothing was received on {args.interface}")
-        if not segment:  # an empty log would only keep the next recording from its name, and the rest is about it
-            for suffix in (args.output.suffix, ".json", ".mcap"):
-                args.output.with_suffix(suffix).unlink(missing_ok=True)
+        if not place.number:  # an empty log would only keep the next recording from its name, and the rest is about it
+            place.delete()
     return 1 if lost or listener.dropped or recording.in_trouble or (silent and not stopped) else 0
 
 

@@ -35,6 +35,13 @@ def test_a_picture_has_the_name_that_was_given(tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().err == "fsai-vcu plot: cannot write /nowhere/angle.png: No such file or directory\n"
 
 
+def test_a_page_of_signals_is_the_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "angle.html"
+    assert main(["plot", str(log(tmp_path / "a.log")), "ANGLE", "*.ANGLE_MAX", "-o", str(page)]) == 1
+    assert "verdict: NOT OK" in capsys.readouterr().out, "the page's own verdict"
+    assert "VCU2AI_Steer.ANGLE_MAX" in page.read_text()
+
+
 def test_a_signal_that_the_log_lacks_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plot", str(log(tmp_path / "a.log")), "STEER_REQUEST"]) == 1
     assert "no signal STEER_REQUEST" in capsys.readouterr().err

@@ -83,7 +83,7 @@ def status_repeats_itself_for_400_ms(run: Run) -> None:
 
 def remote_falls_silent(run: Run) -> None:
     car_drops(0x181)(run)
-    run.go_on(0.3)
+    run.go_on(0.12)
     run.switch(remote_radio_ok=False)
 
 
@@ -174,6 +174,11 @@ def spinning(feedback: CarFeedback) -> CarFeedback:
     return replace(feedback, wheel_rpm=(1.5 * fl + 100.0, fr, rl, rr))
 
 
+def creeping(feedback: CarFeedback) -> CarFeedback:
+    fl, fr, rl, rr = feedback.wheel_rpm
+    return replace(feedback, wheel_rpm=(fl + 18.0, fr, rl, rr))
+
+
 def both(*acts: Act) -> Act:
     def act(run: Run) -> None:
         for one in acts:
@@ -252,6 +257,14 @@ ENDS = [
     End("one wheel does not fit the others", driving, sense(spinning), "wheel_implausible", seconds=1.2),
     End("the loop hangs for 80 ms", driving, hang_for_80_ms, "loop_fault"),
     End("the brake does not work", driving, brakeless, "stop_ineffective", seconds=3.0, near_ns=(0, 400 * MS)),
+    End(
+        "one wheel never stands",
+        driving,
+        both(sense(creeping), silent_controller),
+        "wheel_implausible",
+        seconds=5.0,
+        near_ns=(0, 400 * MS),
+    ),
     End("the controller falls silent", driving, silent_controller, "command_stale", P, seconds=3.0, near_ns=EDGES),
     End("the planner falls silent", driving, silent_planner, "command_stale", P, seconds=4.0, near_ns=(0, 600 * MS)),
     End("manual while driving", driving, manual, "stop_asked", P, seconds=3.0, near_ns=(0, EDGE)),

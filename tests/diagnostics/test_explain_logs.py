@@ -17,6 +17,7 @@ from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.incident import Sureness
 from fsai_vcu.diagnostics.explain.render import verdict
@@ -436,6 +437,37 @@ def test_the_answer_comes_last_with_cause_chain_and_remedy(explain: Explain, fau
     assert "\033" not in out, "no colours where nobody sees them"
 
 
+def test_what_makes_it_not_ok_is_named_beside_the_story(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
+    lacking = nominal.only(nominal.can_id != 0x523)
+    _, out, _ = explain(written(lacking, tmp_path / "run.log"))
+    assert out.splitlines()[-2:] == [
+        "problem: VCU2AI_Steer (0x523) was never received",
+        "verdict: NOT OK: 1 problem (1 note)",
+    ]
+
+
+def test_a_status_of_wrong_length_is_not_called_absent(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
+    short = replace(nominal, length=np.where(nominal.can_id == 0x520, 7, nominal.length).astype(np.uint8))
+    _, out, _ = explain(written(short, tmp_path / "run.log"))
+    assert "no 0x520" not in out and out.count("every 0x520") == 2
+
+
+def test_without_wheel_speeds_no_speed_is_told() -> None:
+    frames = branch(driving(), lambda run: run.lockstep.bridge.set_mode("manual", run.now_ns), 1.0).frames
+    what = [explained(Record(each)).incidents[0].what for each in (frames, frames.only(frames.can_id != 0x525))]
+    assert what[0].startswith("service-brake stop from 1") and what[1] == "service-brake stop"
+
+
+def test_a_car_that_steers_at_rest_is_asked_for_something() -> None:
+    stack, running = OtherStack(), AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
+    for count, state in ((20, AsState.AS_READY), (1000, AsState.AS_DRIVING), (20, AsState.AS_FINISHED)):
+        stack.cycles(count, car(as_state=state, go_signal=True), running)
+    frames = stack.frames()
+    swept = np.where(frames.can_id == 0x513, np.arange(len(frames)) % 200, frames.word).astype(np.uint64)
+    told = [explained(Record(each)).incidents[0].candidates for each in (frames, replace(frames, word=swept))]
+    assert ["not_driven" in [one.slug for one in candidates] for candidates in told] == [True, False]
+
+
 def test_json_is_one_object_a_line(explain: Explain, faulty: Frames, tmp_path: Path) -> None:
     status, out, _ = explain(written(faulty, tmp_path / "run.log"), "--json")
     objects = [json.loads(line) for line in out.splitlines()]
@@ -457,6 +489,15 @@ def test_a_part_of_the_log_is_told_with_causes_from_the_whole(explain: Explain, 
     status, out, _ = explain(path, "--from", 15, "--json")
     assert status == 1
     assert '"finished_while_moving"' in out
+
+
+def test_a_part_in_emergency_brake_is_not_ok(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
+    path = written(stopped, tmp_path / "run.log")
+    states = Record(stopped).series(sig.AS_STATE)
+    braked_s = (int(states.t_ns[states.values == sig.EMERGENCY][0]) - int(stopped.t_ns[0])) / S
+    status, out, _ = explain(path, "--from", braked_s + 0.05)
+    assert status == 1 and out.splitlines()[-1].startswith("verdict: ")
+    assert "problem: at " in out and "it began before the log did" in out
 
 
 @pytest.mark.parametrize(

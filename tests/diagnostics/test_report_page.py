@@ -122,6 +122,26 @@ def test_lanes_show_the_as_states_one_behind_the_other(frames: Frames) -> None:
         assert one[1] == following[0]
 
 
+def test_a_lane_of_two_senders_is_drawn_to_its_end(frames: Frames) -> None:
+    ours = frames.only(frames.can_id == 0x510)
+    both = joined([frames, replace(ours, t_ns=ours.t_ns + 4 * MS, word=np.zeros_like(ours.word))])
+    record = Record(both.only(np.argsort(both.t_ns, kind="stable")))
+    spans = next(lane["spans"] for lane in lanes(record) if lane["name"] == "AI says")
+    assert spans[-1][1] == pytest.approx((record.end_ns - record.begin_ns) / S, abs=0.02)
+    assert len(spans) < 500 and "more changes" in spans[-1][2]
+
+
+def test_the_run_is_summed_up_with_its_response_time(html: str) -> None:
+    run = html[html.index('<h2 id="run">') : html.index('<h2 id="plots">')]
+    assert all(
+        f"<dt>{name}</dt>" in run for name in ("top speed", "distance", "time in each state", "handshake response")
+    )
+
+
+def test_what_is_not_known_is_on_the_page(frames: Frames) -> None:
+    assert "<b>unknown</b>: no 0x520 in the log" in page(frames.only(frames.can_id != 0x520), "run.log")
+
+
 def test_a_silence_of_the_car_is_a_hole_in_its_lanes() -> None:
     def away(run: Any) -> None:
         run.switch(lvms=False)

@@ -107,6 +107,14 @@ def test_two_bridges_at_once_are_one_finding(drive: Frames) -> None:
     assert not [finding for finding in verdict.findings if finding.kind == "period"]
 
 
+def test_what_two_senders_say_by_turns_is_one_line(drive: Frames) -> None:
+    ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
+    idle = replace(ours, t_ns=ours.t_ns + 4 * MS, word=np.zeros_like(ours.word))
+    events = explained(Record(in_order(drive, idle))).events
+    (told,) = [event for event in events if "more changes of it" in event.text and event.signal == "MISSION_STATUS"]
+    assert " SELECTED; " in told.text and len(events) < 60
+
+
 @pytest.mark.parametrize(("period_ms", "rate"), [(10, "200"), (20, "150"), (50, "120"), (100, "110")])
 def test_one_who_repeats_our_own_frames_is_told_by_rate(drive: Frames, period_ms: int, rate: str) -> None:
     begin_ns = int(drive.t_ns[0]) + 2 * S
@@ -152,6 +160,17 @@ def test_what_cannot_be_known_is_not_ok(drive: Frames, low: int, high: int, word
     verdict = judged(drive.only((drive.can_id < low) | (drive.can_id > high)))
     assert verdict.status == 1
     assert verdict.line().startswith(f"UNKNOWN: {words}")
+
+
+def test_a_status_that_repeats_itself_is_no_quiet_car(drive: Frames) -> None:
+    begin_ns = int(drive.t_ns[-1]) - S
+    word = int(drive.word[(drive.can_id == 0x520) & (drive.t_ns < begin_ns)][-1])
+    frozen = patched(drive, 0x520, 2**64 - 1, word, begin_ns, 2 * S)
+    (found,) = [one for one in judged(frozen).findings if one.severity == "problem"]
+    assert found.text.startswith("0x520 repeats itself for 1.00 s in AS_DRIVING") and found.remedy
+    assert found.t_ns is not None and abs(found.t_ns - begin_ns) <= 10 * MS
+    paused = drive.only(abs(drive.t_ns - begin_ns) > S // 2)
+    assert kinds(paused) == ["gap"], "a bus that is silent says nothing of the VCU"
 
 
 def test_a_pause_of_everybody_is_one_finding_of_its_moment(drive: Frames) -> None:

@@ -87,7 +87,9 @@ def _closing(record: Record) -> str:
 
 def _missing(record: Record) -> Iterator[str]:
     """What this log lacks to be explained whole."""
-    if not record.has(STATUS):
+    if STATUS in record.wrong_length and not record.has(STATUS):
+        yield "every 0x520 of this log has the wrong length: there is no AS state, switch or fault to tell of"
+    elif not record.has(STATUS):
         yield "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
     absent = [f"0x{can_id:03X}" for can_id in AI_IDS if not record.has(can_id)]
     if len(absent) == len(AI_IDS):

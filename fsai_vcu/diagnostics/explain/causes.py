@@ -66,7 +66,6 @@ _REMEDIES: Final = {
     Reason.AS_STATE_UNKNOWN: (
         "compare the VCU's interface revision with the database; look for a second sender of 0x520"
     ),
-    Reason.VCU_REBOOT: "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted",
 }
 
 _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
@@ -152,8 +151,8 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         " keep 0x514 at zero",
     ),
     "before_the_log": (
-        "it began before the log did",
-        "record from power-up on",
+        "it began before the log did, or the part of it that was asked for",
+        "look at what was before, or record from power-up on",
         "everything from power-up: start recording before LVMS",
     ),
     "unknown": (
@@ -173,6 +172,10 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         _TEAM_LOG,
     ),
     **{reason.slug: (reason.words, remedy) for reason, remedy in _REMEDIES.items()},
+    Reason.VCU_REBOOT.slug: (
+        "the VCU restarted",
+        "check its supply: low-voltage battery, LVMS, connectors",
+    ),
     "vcu_hung": (
         "the VCU itself stood still: it sent nothing and received nothing",
         "check the VCU's supply and connectors; if it happens again have its software looked at",

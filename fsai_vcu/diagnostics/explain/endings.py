@@ -267,7 +267,7 @@ def _radio(record: Record, t_ns: int) -> Iterator[Candidate]:
     for edge in record.changes(sig.REMOTE_ESTOP, t_ns - 2 * S, t_ns + REMOTE_LATE_NS)[:1]:
         step = sig.REMOTE_ESTOP.step(edge.begin_ns, f"the remote's ESTOP_STATUS {edge.before:g} → {edge.value:g}")
         yield shown("remote_estop", step)
-    silent = gap_at(record, sig.REMOTE_ESTOP.can_id, t_ns, SILENT_NS)
+    silent = gap_at(record, sig.REMOTE_ESTOP.can_id, t_ns, COMMS_LOST_NS)
     if silent is not None and gap_at(record, sig.STATUS, t_ns, SILENT_NS) is None:  # not the whole car's silence
         step = ChainLink(silent.begin_ns, "the last 0x181 (RES_TPDO) before it is missing", sig.REMOTE_ESTOP.can_id)
         yield shown("radio_lost", step)
@@ -318,7 +318,10 @@ def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
     on = [name for name, signal in (("ASMS", sig.AS_SWITCH), ("Go", sig.GO)) if record.at(signal, t_ns)]
     switches = f"{' and '.join(on)} {'is' if len(on) == 1 else 'are'} on, " if on else ""
     asked = "the AI computer did not ask and was in time" if record.ai_speaks else "the AI computer is not in this log"
-    remote = ", the remote's E-stop and radio did not change" if len(record.series(sig.REMOTE_ESTOP)) else ""
+    remote = ""
+    if record.has(sig.REMOTE_ESTOP.can_id):
+        heard = t_ns - record.newest_ns(sig.REMOTE_ESTOP.can_id, t_ns) <= DEAD_NS
+        remote = f", the remote's {'E-stop and radio did not change' if heard else '0x181 is missing'}"
     checked = f"{switches}no fault bit and no SHUTDOWN_CAUSE is set, {asked}{remote}: what is left is the SDC"
     return [
         candidate("sdc_open", Sureness.FITS, ChainLink(t_ns, checked, sig.STATUS)),
@@ -421,11 +424,13 @@ def idle(record: Record, drive_begin_ns: int, t_ns: int) -> ChainLink | None:
     asked = [record.series(signal) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     if not len(wheels) or not all(map(len, asked)) or record.at(sig.AMI, t_ns) in INSPECTIONS:
         return None
-    busy = np.logical_or.reduce([wheels.values >= STANDING_RPM, *(each.sampled(wheels.t_ns) > 0 for each in asked)])
+    steered = np.diff(record.series(sig.STEER).sampled(wheels.t_ns), prepend=0.0) != 0
+    driven = (each.sampled(wheels.t_ns) > 0 for each in asked)
+    busy = np.logical_or.reduce([wheels.values >= STANDING_RPM, steered, *driven])
     since_ns = int(wheels.t_ns[busy][-1]) if busy.any() else drive_begin_ns
     if t_ns - since_ns < IDLE_NS:
         return None
-    words = f"for {ms(t_ns - since_ns)} no wheel turns, and no torque is asked for"
+    words = f"for {ms(t_ns - since_ns)} no wheel turns, and neither torque nor another steering angle is asked for"
     return ChainLink(since_ns, words, 0x512)
 
 
@@ -469,7 +474,8 @@ def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
         step = sig.TORQUE_R.step(held_ns, words)
         candidates.append(candidate(Reason.COMMAND_STALE.slug, Sureness.FITS, lost, step, brake))
     candidates.append(candidate("stop_asked", Sureness.POSSIBLE, brake))
-    what = f"service-brake stop from {record.fastest_wheel.at(t_ns) or 0:.0f} rpm"
+    rpm = record.fastest_wheel.at(t_ns)
+    what = "service-brake stop" + ("" if rpm is None else f" from {rpm:.0f} rpm")
     return Incident(IncidentKind.STOP, t_ns, what, ranked(candidates))
 
 

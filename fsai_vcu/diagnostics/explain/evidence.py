@@ -224,10 +224,12 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
     slow = before is not None and now > before - 2 * CONFIG.stop_min_drop_rpm
     if asked_ns < CONFIG.stop_timeout_ns - 100 * MS and not (slow and asked_ns >= CONFIG.stop_window_ns - SLACK_NS):
         return []
-    words = (
-        f"the brake is asked for at {front.value:g} % for {ms(asked_ns)}, and the wheels still turn at {now:.0f} rpm"
-    )
-    return [shown(Reason.STOP_INEFFECTIVE.slug, sig.BRAKE_REQ_F.step(front.begin_ns, words))]
+    others = record.middle_wheel.at(t_ns) or 0.0
+    alone = others < STANDING_RPM  # a brake holds all wheels or none
+    reason = Reason.WHEEL_IMPLAUSIBLE if alone else Reason.STOP_INEFFECTIVE
+    turn = f"one wheel reads {now:.0f} rpm, the others {others:.0f}" if alone else f"the wheels turn at {now:.0f} rpm"
+    words = f"the brake is asked for at {front.value:g} % for {ms(asked_ns)}, and still {turn}"
+    return [shown(reason.slug, sig.BRAKE_REQ_F.step(front.begin_ns, words))]
 
 
 def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: int) -> list[Candidate]:

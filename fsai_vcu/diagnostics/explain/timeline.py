@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -19,7 +21,7 @@ from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
-MANY: Final = 12  # gaps of one message named one by one
+MANY: Final = 12  # gaps of one message, or changes of one signal at short intervals, named one by one
 # What one instant brings is listed with causes before effects.
 ORDER: Final = (
     "bus", "link", "intruder", "switches", "Go", "mission", "fault", "AS state", "AI", "mode", "gate", "power", "EBS",
@@ -77,8 +79,29 @@ def timeline(record: Record) -> list[TimelineEntry]:
     chapters = (
         _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _link, _bus,
     )  # fmt: skip
-    events = [event for chapter in chapters for event in chapter(record)]
-    return sorted(events, key=lambda event: (event.t_ns, ORDER.index(event.topic)))
+    events = sorted((event for chapter in chapters for event in chapter(record)), key=_order)
+    return sorted(_to_and_fro(events, record.begin_ns), key=_order)
+
+
+def _order(event: TimelineEntry) -> tuple[int, int]:
+    return event.t_ns, ORDER.index(event.topic)
+
+
+def _to_and_fro(events: list[TimelineEntry], begin_ns: int) -> Iterator[TimelineEntry]:
+    """One line for a signal that changes again and again, as with two senders: the first change, how many, the last."""
+    runs: dict[object, list[list[TimelineEntry]]] = {}
+    for event in events:
+        of_one = runs.setdefault((event.topic, event.can_id, event.signal), [])
+        if not of_one or event.t_ns - of_one[-1][-1].t_ns > GONE_NS:
+            of_one.append([])
+        of_one[-1].append(event)
+    for run in chain.from_iterable(runs.values()):
+        if len(run) > MANY:
+            until_s = (run[-1].t_ns - begin_ns) / S
+            text = f"{run[0].text}; {len(run) - 1} more changes of it up to {until_s:.3f} s, then {run[-1].text}"
+            yield replace(run[0], text=text, weight=max(event.weight for event in run))
+        else:
+            yield from run
 
 
 def _entry(signal: Signal, t_ns: int, topic: str, text: str, weight: Weight = NOTE) -> TimelineEntry:

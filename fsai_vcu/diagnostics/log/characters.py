@@ -60,7 +60,7 @@ def texts_of(texts: Sequence[str]) -> Texts:
 
 
 def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Sequence[str]]) -> Texts:
-    """At least one number, each as `repr` writes it; `singly` writes those that are not finite, and objects."""
+    """At least one number, each as `repr` writes it; `singly` writes those that are not finite or unusually large or small, and objects."""
     if numbers.dtype == np.object_:
         return texts_of(singly(numbers.tolist()))
     text = bytes(_LONGEST) + orjson.dumps(numbers, option=orjson.OPT_SERIALIZE_NUMPY)
@@ -70,9 +70,9 @@ def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Se
     found = Texts(window(text, width)[ends - width], lengths)
     if numbers.dtype != np.float64:
         return found
-    # It writes 0.00001 and 1e-9 where repr has 1e-05 and 1e-09.
+    # It writes 0.00001 and 1e-9 where repr has 1e-05 and 1e-09; and before 3.11.7, 1e16 where that has 1e+16.
     size = np.abs(numbers)
-    other = np.flatnonzero(~(size < np.inf) | (size >= 1e-9) & (size < 1e-4))
+    other = np.flatnonzero(~(size < 1e16) | (size >= 1e-9) & (size < 1e-4))
     return found.put(other, texts_of(singly(numbers[other].tolist()))) if len(other) else found
 
 

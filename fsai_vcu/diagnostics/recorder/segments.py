@@ -94,6 +94,11 @@ class SegmentFolder:
         if not self.single:
             self.number = max(self.number, max(self._segments(), default=0)) + 1
 
+    def delete(self, number: int | None = None) -> None:
+        """All files of a segment: the one in hand, unless another is named."""
+        for kind in _KINDS:
+            self.file(kind, number).unlink(missing_ok=True)
+
     def make_room(self, bytes_to_come: int) -> None:
         """Delete the oldest segments until there is room. Raises OSError where that is not enough."""
         folder = self.path.parent if self.single else self.path
@@ -105,8 +110,7 @@ class SegmentFolder:
         for number in older:
             if (most is None or total <= most) and shutil.disk_usage(folder).free >= wanted:
                 return
-            for kind in _KINDS:
-                self.file(kind, number).unlink(missing_ok=True)
+            self.delete(number)
             total -= segments[number]
         free = shutil.disk_usage(folder).free
         if self.bounds.keep_free_bytes and free < wanted:

@@ -189,9 +189,11 @@ def lanes(record: Record) -> list[dict[str, Any]]:
 
     def add(name: str, spans: list[tuple[int, int, str, str]]) -> None:
         if spans:
+            if many := spans[LANE_SPANS:]:
+                spans = [*spans[:LANE_SPANS], (many[0][0], many[-1][1], f"{len(many)} more changes", many[-1][3])]
             shown = [
                 [round((b - record.begin_ns) / 1e9, 4), round((e - record.begin_ns) / 1e9, 4), text, kind]
-                for b, e, text, kind in spans[:LANE_SPANS]
+                for b, e, text, kind in spans
             ]
             found.append({"name": name, "spans": shown})
 

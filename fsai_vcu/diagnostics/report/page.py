@@ -35,6 +35,7 @@ def page_of(
     )
     drawn = [*plots_of(chosen or {}), *plots(record)]
     story = verdict.explanation
+    bus = next(bus for bus in buses if bus.channel == record.channel)
     return "".join(
         (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
@@ -46,10 +47,10 @@ def page_of(
             "<main>\n",
             _findings(verdict),
             _section("why", "What happened, and why", *_incidents(story)) if story.incidents else "",
-            _summary(record),
+            _summary(record, bus),
             _section("plots", "Over time", *_plots(drawn)),
             *_events(story),
-            _section("figures", "Figures", *_figures(next(bus for bus in buses if bus.channel == record.channel))),
+            _section("figures", "Figures", *_figures(bus)),
             "</main>\n<footer>Made by <code>fsai-vcu report</code> from the frames alone.</footer>\n",
             f'<script type="application/json" id="data">{_data(record, story, drawn)}</script>\n',
             f"<script>{script}</script>\n</body>\n</html>\n",
@@ -116,21 +117,21 @@ def _moment(at_s: float) -> str:
 def _findings(verdict: Verdict) -> str:
     """What check says of the log; incidents have articles of their own."""
     kinds = {kind.slug for kind in IncidentKind}
-    shown = ""
+    shown = "".join(f'<li class="problem"><b>unknown</b>: {escape(why)}.</li>\n' for why in verdict.unknown)
     for finding in verdict.findings:
         if finding.kind not in kinds:
             remedy = f" <b>What to do:</b> {escape(finding.remedy)}." if finding.remedy else ""
             text = escape(verdict.moment(finding) + finding.text)
-            shown += f"<li><b>{finding.severity}</b>: {text}.{remedy}</li>\n"
+            shown += f'<li class="{finding.severity}"><b>{finding.severity}</b>: {text}.{remedy}</li>\n'
     return _section("bus", "On the bus", f'<ul class="notes">\n{shown}</ul>') if shown else ""
 
 
-def _summary(record: Record) -> str:
+def _summary(record: Record, bus: BusStatistics) -> str:
     way = way_of(record)
     caption = "<figcaption>The way driven, by wheels and steering</figcaption>"
     picture = drawing(way)
     figure = f"<figure>{caption}{picture}</figure>\n" if picture else ""
-    return _section("run", "The run", _facts(figures(record, way)), figure)
+    return _section("run", "The run", _facts([*figures(record, way), *_bus(bus)]), figure)
 
 
 def _incidents(story: Explanation) -> Iterator[str]:
@@ -212,7 +213,6 @@ def _events(story: Explanation) -> Iterator[str]:
 
 
 def _figures(bus: BusStatistics) -> Iterator[str]:
-    yield _facts(_bus(bus))
     titles = ("id", "message", "frames", "expected ms", "mean ms", "p99 ms", "max ms", "gaps", "load %")
     yield '<div class="scroll" tabindex="0" role="region" aria-label="figures of each message"><table><thead><tr>'
     yield "".join(f'<th scope="col">{title}</th>' for title in titles) + "</tr></thead>\n<tbody>"

@@ -124,7 +124,6 @@ class Handshake:
 
     answered: int
     unanswered: int  # toggles whose bit did not come back for 100 ms
-    stood_ms: float  # the longest time for which the VCU kept its bit
     response_ms: TimeSpread
     above_100_ms: int  # answers that took as long, or longer
 
@@ -360,7 +359,6 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     # The very first bit asks for an answer too. Where no 0x510 came for 100 ms there is nobody who could give one.
     toggles = np.append(0, np.flatnonzero(asked_bits[1:] != asked_bits[:-1]) + 1)
     next_ns = np.append(asked_ns[toggles[1:]], NEVER_NS)
-    stood_ns = int(np.diff(np.append(asked_ns[toggles], asked_ns[-1])).max())
     before = np.searchsorted(answer_ns, asked_ns[toggles], side="right") - 1
     alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < COMMS_LOST_NS)
     toggles, next_ns = toggles[alive], next_ns[alive]
@@ -375,7 +373,7 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     # Before that, or before the log's end, an echo that is not there may come, or be a frame that the recording lost.
     unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)
     late = int((waited >= COMMS_LOST_NS).sum())
-    return Handshake(len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(np.sort(waited)), late)
+    return Handshake(len(waited), int(unanswered.sum()), TimeSpread.of(np.sort(waited)), late)
 
 
 def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, float, float]]:
@@ -457,8 +455,6 @@ def _judge_handshake(handshake: Handshake) -> Iterator[Finding]:
     elif handshake.response_ms.p99_ms is not None and handshake.response_ms.p99_ms * MS > PERIOD_NS:
         text = f"handshake answered within {handshake.response_ms.p99_ms:.1f} ms (p99): slow"
         yield _finding(False, "handshake", text, 0x510)
-    if handshake.stood_ms * MS >= COMMS_LOST_NS:
-        yield _finding(False, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
 
 
 def _judge_message(message: MessageStatistics) -> Iterator[Finding]:

@@ -23,11 +23,22 @@ from fsai_vcu.diagnostics.explain.endings import REBOOT_NS
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import Record, ms
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
-from fsai_vcu.diagnostics.explain.signals import AS_STATE, CAR_TORQUE_MAX, DRIVING, GO, PULSES, READY, STATUS, label
+from fsai_vcu.diagnostics.explain.signals import (
+    AS_STATE,
+    CAR_TORQUE_MAX,
+    DRIVING,
+    EMERGENCY,
+    FINISHED,
+    GO,
+    PULSES,
+    READY,
+    STATUS,
+    label,
+)
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
-from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
 from fsai_vcu.interface.units import MS, S
 
 OFF: Final = float(AsState.AS_OFF)
@@ -178,7 +189,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
-    findings += _in_passing(record)
+    findings += [*_in_passing(record), *_repeating(record, [incident.t_ns for incident in explanation.incidents])]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     return Verdict(record.begin_ns, explanation, tuple(findings), tuple(_unknown(record)))
 
@@ -210,6 +221,25 @@ def _in_passing(record: Record) -> Iterator[Finding]:
             remedy = CAUSES["vcu_reboot"].remedy if kind == "restart" else ""
             more = f", {count} times in all" if count > 1 else ""
             yield Finding("note", kind, f"{words}{more}", begin_ns, remedy, channel=record.channel)
+
+
+def _repeating(record: Record, told_ns: list[int]) -> Iterator[Finding]:
+    """0x520 that comes, and whose HANDSHAKE stands though it was echoed: it does not say how the car is. The first, and
+    how many; neither after a drive, nor what an incident at `told_ns` has for its cause."""
+    toggle_ns, _, waited_ns, echoed = record.answers
+    times, told = record.times(STATUS), np.array(told_ns, np.int64)
+    ends_ns = np.append(toggle_ns[1:], times[-1:])[: len(toggle_ns)]
+    stood_ns = ends_ns - toggle_ns - waited_ns
+    came = np.searchsorted(times, ends_ns) - np.searchsorted(times, toggle_ns)
+    over = np.isin(record.series(AS_STATE).sampled(toggle_ns), (EMERGENCY, FINISHED))
+    rows = np.flatnonzero(echoed & ~over & (np.minimum(stood_ns, came * PERIOD_NS) >= COMMS_LOST_NS))
+    found = [row for row in rows if not ((told >= toggle_ns[row]) & (told <= ends_ns[row] + AT_ONCE_NS)).any()]
+    for row in found[:1]:
+        begin_ns = int(toggle_ns[row])
+        more = f", {len(found)} times in all" if len(found) > 1 else ""
+        state = label(AS_STATE, record.at(AS_STATE, begin_ns))
+        text = f"0x520 repeats itself for {ms(int(stood_ns[row]))} in {state}: its HANDSHAKE stands{more}"
+        yield Finding("problem", "frozen", text, begin_ns, CAUSES["status_frozen"].remedy, (STATUS,), record.channel)
 
 
 def _of_incident(incident: Incident) -> Finding:
@@ -333,6 +363,8 @@ def _unknown(record: Record) -> Iterator[str]:
     """Why this log cannot be called well even if nothing in it is wrong."""
     if STATUS in record.unknown_ids:
         yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
+    elif STATUS in record.wrong_length and not record.has(STATUS):
+        yield "every 0x520 has the wrong length, so the car's state is not known"
     elif not record.has(STATUS):
         yield "no 0x520 in the log, so the car's state is not known: is this the car's bus, and was the car on?"
     elif not len(record.series(AS_STATE)):

@@ -69,6 +69,8 @@ ON_THE_BUS: Final = frozenset(
 ALIKE: Final[Mapping[Reason, frozenset[str]]] = {
     Reason.LOOP_FAULT: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent"}),
     Reason.BUS_LOST: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent", "stop_asked"}),
+    # One wheel that reads too much keeps the bridge from seeing that the brake has stopped the car.
+    Reason.STOP_INEFFECTIVE: frozenset({Reason.STOP_INEFFECTIVE.slug, Reason.WHEEL_IMPLAUSIBLE.slug}),
     Reason.NOT_SEEN: frozenset({Reason.NOT_SEEN.slug, "frames_wrong", "stop_asked", "ai_silent"}),
 }
 
