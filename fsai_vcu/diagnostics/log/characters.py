@@ -60,7 +60,7 @@ def texts_of(texts: Sequence[str]) -> Texts:
 
 
 def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Sequence[str]]) -> Texts:
-    """At least one number, each as `repr` writes it; `singly` writes those that are not finite or unusually large or small, and objects."""
+    """At least one number, each as `repr` writes it; `singly` writes the unusually large and small, and objects."""
     if numbers.dtype == np.object_:
         return texts_of(singly(numbers.tolist()))
     text = bytes(_LONGEST) + orjson.dumps(numbers, option=orjson.OPT_SERIALIZE_NUMPY)
