@@ -9,13 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
-from fsai_vcu.core.planning.pose import to_odometry, to_vehicle
+from fsai_vcu.core.planning.pose import to_odometry, to_vehicle, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 
+Bools = NDArray[np.bool_]
+
 N_COLORS = len(ConeColor)
+BIG = int(ConeColor.BIG_ORANGE)  # compared with an array it takes a ninth of the time of an enum's member
+SIDES = np.array([{ConeColor.BLUE: 1.0, ConeColor.YELLOW: -1.0}.get(color, 0.0) for color in ConeColor])
 DUPLICATE_M = 0.35  # two cones cannot stand nearer: their feet are 0.23 to 0.29 m wide
 
 
@@ -143,25 +148,24 @@ class ConeMemory:
         seen = known["votes"][index]
         votes = seen.copy()
         # A gate stops the car and counts its laps: it takes more than a slip of the detector to make one.
-        big = votes[:, ConeColor.BIG_ORANGE]
-        votes[(big < GATE_VOTES_MIN) | (big <= 0.5 * votes[:, 1:].sum(axis=1)), ConeColor.BIG_ORANGE] = 0.0
+        big = votes[:, BIG]
+        big[(big < GATE_VOTES_MIN) | (big <= 0.5 * votes[:, 1:].sum(axis=1))] = 0.0
         colored = votes[:, 1:]
         # A colour counts where it was seen in at least every third look: colourless sightings do not outvote it.
         has_color = colored.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
         color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
-        by_color = np.where(color == ConeColor.BLUE, 1.0, np.where(color == ConeColor.YELLOW, -1.0, 0.0))
-        by_color = by_chain(here[index], by_color)
+        by_color = by_chain(here[index], SIDES.take(color))
         lane = known["side"][index]
         # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
-        contrary = np.clip(by_color + lane / OUTVOTES, -1.0, 1.0)
-        by_lane = np.clip(lane / 4.0, -0.6, 0.6)
+        contrary = within(by_color + lane / OUTVOTES, 1.0)
+        by_lane = within(lane / 4.0, 0.6)
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
         return Cones(here[index], color.astype(np.int64), side, index)
 
     def vote(self, index: Ints, side: Floats) -> None:
         """The lane has these cones on its left (+1) or right (-1), surely or less so."""
         known = self._cones["side"]
-        known[index] = np.clip(known[index] + side, -6.0, 6.0)
+        known[index] = within(known[index] + side, 6.0)
 
 
 def by_chain(xy_m: Floats, side: Floats) -> Floats:
@@ -172,19 +176,35 @@ def by_chain(xy_m: Floats, side: Floats) -> Floats:
     """
     if not len(xy_m):
         return side
-    way = xy_m[None, :] - xy_m[:, None]
+    way = xy_m - xy_m[:, None]
     length = np.hypot(way[..., 0], way[..., 1])
     near = (length > 0.0) & (length < CHAIN_GAP_M)
     unit = way / np.where(near, length, np.inf)[..., None]
     colors = side[:, None] * side
-    same, other = (unit * (colors == sign)[..., None] for sign in (1.0, -1.0))
-    # [j, i] from i by j to another of j's colour
-    goes_on = _straightest(unit, same) < CHAIN_COS
-    between = _straightest(other * goes_on.T[..., None], other).min(axis=1) < CHAIN_COS
-    at_home = _straightest(same, same).min(axis=1) < CHAIN_BENT_COS
-    return np.where(between & ~at_home, -side, side)
+    other = near & (colors < 0.0)
+    same = _packed(unit, near & (colors > 0.0))
+    doubted = ((other.sum(axis=1) > 1) & (_straightest(same, same) >= CHAIN_BENT_COS)).nonzero()[0]
+    if not len(doubted):
+        return side
+    unit, other = unit[doubted], other[doubted]
+    # from a neighbour back to the doubted cone, and on to the neighbour's next ones
+    cone, neighbour = other.nonzero()
+    goes_on = other.copy()
+    goes_on[cone, neighbour] = _straightest(-unit[cone, neighbour, None], same[neighbour]) < CHAIN_COS
+    between = _straightest(_packed(unit, goes_on), _packed(unit, other)) < CHAIN_COS
+    turned = side.copy()
+    turned[doubted[between]] *= -1.0
+    return turned
+
+
+def _packed(unit: Floats, chosen: Bools) -> Floats:
+    """(N, K, 2) of (N, M, 2) vectors the chosen ones of each row, and then zeros."""
+    count = chosen.sum(axis=1)
+    packed = np.zeros((len(unit), int(count.max()), 2))
+    packed[np.arange(packed.shape[1]) < count[:, None]] = unit[chosen]
+    return packed
 
 
 def _straightest(to: Floats, on: Floats) -> Floats:
-    """(N, M) for each cone and each way from it in `to`, the least cosine to any way from it in `on`."""
-    return np.asarray((to @ on.transpose(0, 2, 1)).min(axis=2))
+    """(…) the least cosine, 0 at most, of any of (…, K, 2) ways to any of (…, L, 2) others."""
+    return np.asarray((to @ on.swapaxes(-1, -2)).min(axis=(-2, -1), initial=0.0))

@@ -10,7 +10,6 @@ Then the chain is moved to the middle between the borders and smoothed.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.planning.cone_memory import Cones
-from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled
+from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 Bools = NDArray[np.bool_]
@@ -224,7 +223,6 @@ X, Y, HEADING, COS, SIN, COST, ONE = range(7)  # of a pose
 CELLS = 1.0 / np.array([0.7, 0.7, 0.3])  # m, m, rad: poses as near as that are about the same
 BEST = 4  # times the beam's poses: arcs looked at for it, beginning with the best
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
-LEFT_AND_RIGHT = np.array([1.0, -1.0])[:, None, None]
 RAMP_FROM_M = np.array([INSIDE_M, BORDER_FAR_M])[:, None]
 RAMP_SPAN_M = np.array([BORDER_NEAR_M - INSIDE_M, OUTSIDE_M - BORDER_FAR_M])[:, None]
 
@@ -267,6 +265,7 @@ def _search(
     reach_m = float(np.hypot(xy[:, 0], xy[:, 1]).max())
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
+    unseen_m = max(reach_m, view_m)
     beside_m = step + OUTSIDE_M  # cones further to a pose's front or side are beside none of its arcs
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
@@ -280,23 +279,27 @@ def _search(
     )
     bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])  # places in fan.bends
     ahead, left = _seen_from(poses, xy)
-    counted = counted[None, :]  # by each chain so far
+    counted = counted[:, None]  # (N, P) by each chain so far
     history: list[tuple[Floats, Ints, Ints]] = []  # poses; of those that go on from them: the pose, the bend of the arc
 
     for _ in range(levels):
         # The arcs of the first pose, then those of the second, …
-        n_arcs = len(poses) * n_bends
+        n_poses = len(poses)
+        n_arcs = n_poses * n_bends
         ends = (poses @ fan.ends).reshape(n_arcs, 7)
 
         # Cones near each pose, in its frame; of the arcs those that have the cone between their start and end.
         near = ((ahead >= 0.0) & (ahead < beside_m) & (np.abs(left) < beside_m)).ravel().nonzero()[0]
-        local = np.empty((len(near), 3))
-        local[:, 0], local[:, 1], local[:, 2] = ahead.take(near), left.take(near), 1.0
-        at_ends = local @ fan.into_ends
-        row, its_bend = (at_ends[:, :n_bends] < 0.0).nonzero()
-        u0, v0, u1, v1 = local[row, 0], local[row, 1], at_ends[row, its_bend], at_ends[row, its_bend + n_bends]
+        local = np.ones((3, len(near)))
+        ahead.take(near, out=local[0])
+        left.take(near, out=local[1])
+        at_ends = local.T @ fan.into_ends
+        row, its_bend = np.divmod((at_ends[:, :n_bends] < 0.0).ravel().nonzero()[0], n_bends)
+        u0, v0 = local[:2].take(row, axis=1)
+        at_end = 2 * n_bends * row + its_bend
+        u1, v1 = at_ends.take(at_end), at_ends.take(at_end + n_bends)
         place = near.take(row)
-        pose, cone = np.divmod(place, n_cones)
+        cone, pose = np.divmod(place, n_poses)
         arc = pose * n_bends + its_bend
         share = u0 / (u0 - u1)
         lateral = v0 + share * (v1 - v0 - fan.sag.take(its_bend) * (1.0 - share))
@@ -311,7 +314,7 @@ def _search(
             - reward.take(on_side) * as_border * ~counted.take(place)
         )
         cost = ends[:, COST] + np.bincount(arc, charge, n_arcs) + fan.bending_cost.take(bend, axis=0).ravel()
-        unseen = np.hypot(ends[:, X], ends[:, Y]) > max(reach_m, view_m)
+        unseen = np.hypot(ends[:, X], ends[:, Y]) > unseen_m
         empty = np.bincount(arc, as_border, n_arcs) < BORDER_MIN
         ends[:, COST] = cost = cost + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
 
@@ -322,15 +325,15 @@ def _search(
 
         parent, bend = np.divmod(kept, n_bends)
         history.append((poses, parent, bend))
-        borders = np.zeros(n_arcs * n_cones, dtype=bool)
-        borders.put((arc * n_cones + cone).compress(as_border > BORDER_MIN), True)
-        counted = counted.take(parent, axis=0) | borders.reshape(n_arcs, n_cones).take(kept, axis=0)
+        borders = np.zeros((n_cones, n_arcs), dtype=bool)
+        borders.put((cone * n_arcs + arc).compress(as_border > BORDER_MIN), True)
+        counted = counted.take(parent, axis=1) | borders.take(kept, axis=1)
         poses = ends.take(kept, axis=0)
         ahead, left = _seen_from(poses, xy)
         shift = _to_middle(ahead, left, fan.bends.take(bend), may_stand)
         poses[:, X] -= shift * poses[:, SIN]
         poses[:, Y] += shift * poses[:, COS]
-        left -= shift[:, None]
+        left -= shift
 
     at = int(poses[:, COST].argmin())
     last = poses[at, : Y + 1]
@@ -361,9 +364,9 @@ def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) 
 
 
 def _seen_from(poses: Floats, xy: Floats) -> tuple[Floats, Floats]:
-    """(P, N) how far ahead of each pose each cone is, and how far to its left."""
-    dx, dy = xy[:, 0] - poses[:, X, None], xy[:, 1] - poses[:, Y, None]
-    cos, sin = poses[:, COS, None], poses[:, SIN, None]
+    """(N, P) how far ahead of each pose each cone is, and how far to its left."""
+    dx, dy = xy[:, :1] - poses[:, X], xy[:, 1:] - poses[:, Y]
+    cos, sin = poses[:, COS], poses[:, SIN]
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
@@ -384,13 +387,16 @@ def _to_middle(ahead: Floats, left: Floats, bend: Floats, may_stand: Bools) -> F
     """(P,) how far to the left of each pose, which turns with `bend`, the middle between its nearest cones left and
     right is; 0 where there are not both.
 
-    ahead, left: (P, N) the cones as the poses see them; may_stand: (2, N) whether to the left, whether to the right.
+    ahead, left: (N, P) the cones as the poses see them; may_stand: (2, N) whether to the left, whether to the right.
     """
-    beside = (left - 0.5 * bend[:, None] * ahead * ahead) * LEFT_AND_RIGHT
-    there = may_stand[:, None, :] & (np.abs(ahead) < 3.0) & (beside > 0.4)
-    to_left, to_right = np.where(there, beside, OUTSIDE_M).min(axis=2)
+    beside = left - 0.5 * bend * ahead * ahead
+    near = np.abs(ahead) < 3.0
+    to_left, to_right = (
+        np.minimum.reduce(np.where(near & (off > 0.4) & may[:, None], off, OUTSIDE_M), axis=0)
+        for may, off in zip(may_stand, (beside, -beside), strict=True)
+    )
     both = np.maximum(to_left, to_right) < OUTSIDE_M
-    return np.where(both, _within(0.5 * (to_left - to_right), 0.5), 0.0)
+    return np.where(both, within(0.5 * (to_left - to_right), 0.5), 0.0)
 
 
 def _behind(curvature_1pm: float, settings: PlannerSettings) -> Floats:
@@ -409,7 +415,7 @@ def _placed(line: Floats, xy: Floats, cos: Floats, sin: Floats) -> tuple[Floats,
     cell = nearest + len(line) * np.arange(len(nearest))  # of the nearest point in the flattened arrays
     dx, dy, cos, sin = dx.take(cell), dy.take(cell), cos.take(nearest), sin.take(nearest)
     ahead = dx * cos + dy * sin
-    return stations.take(nearest) + _within(ahead, float(stations[1])), dy * cos - dx * sin, np.abs(ahead)
+    return stations.take(nearest) + within(ahead, float(stations[1])), dy * cos - dx * sin, np.abs(ahead)
 
 
 @cache
@@ -445,7 +451,7 @@ def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
     span = max(1, round(1.0 / settings.path_step_m))
     curvature = np.zeros(len(line))
     curvature[span:-span] = (heading[2 * span :] - heading[: -2 * span]) / (2.0 * span * settings.path_step_m)
-    inward = 0.25 * nose_m * nose_m * _within(curvature, settings.curvature_max_1pm)
+    inward = 0.25 * nose_m * nose_m * within(curvature, settings.curvature_max_1pm)
     return _moved_left(line, inward, cos, sin)
 
 
@@ -454,10 +460,6 @@ def _moved_left(line: Floats, by_m: Floats, cos: Floats, sin: Floats) -> Floats:
     moved = np.empty_like(line)
     moved[:, 0], moved[:, 1] = line[:, 0] - by_m * sin, line[:, 1] + by_m * cos
     return moved
-
-
-def _within(value: Floats, most: float) -> Floats:
-    return np.minimum(np.maximum(value, -most), most)
 
 
 def _centred(
@@ -478,13 +480,10 @@ def _centred(
     stands = np.where(usable, sides, 0.0)
     sides = np.where(cones.side * sides > -0.5, stands, 0.0)
     # Of cones of one side beside each other only the nearer one is the border.
-    for sign, chosen in itertools.product((1.0, -1.0), (stands, sides)):
-        mine = (chosen == sign).nonzero()[0]
-        if len(mine) > 1:
-            my_along, my_size = along.take(mine), size.take(mine)
-            close = np.abs(my_along[:, None] - my_along) < 3.0
-            nearest_size = np.where(close, my_size, np.inf).min(axis=1)
-            chosen[mine[my_size > nearest_size + 1.2]] = 0.0
+    close = np.abs(along[:, None] - along) < 3.0
+    for chosen in (stands, sides):
+        nearest_size = np.where(close & (chosen[:, None] == chosen), size[:, None], np.inf).min(axis=0)
+        chosen[size > nearest_size + 1.2] = 0.0
 
     left, left_known = _border(stations, along, lateral, sides > 0, settings)
     right, right_known = _border(stations, along, lateral, sides < 0, settings)
@@ -503,7 +502,7 @@ def _centred(
     if not known.any():
         return line, stands, along - car_m, width, 0.0
     shift = np.interp(stations, stations[known], shift[known])
-    moved = _smoothed(_moved_left(line, _within(shift, 2.5), cos, sin), settings)
+    moved = _smoothed(_moved_left(line, within(shift, 2.5), cos, sin), settings)
     borders = along[sides != 0.0] - car_m
     return moved, stands, along - car_m, width, _reach(borders, _first_gap_m(borders, settings), settings)
 

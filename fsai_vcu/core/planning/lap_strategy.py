@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import advance_laps, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
+from fsai_vcu.core.planning.cone_memory import BIG, ConeMemory, Cones
 from fsai_vcu.core.planning.course import Course, braking_m
 from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
@@ -110,7 +110,7 @@ class LapStrategy:
         return ahead if len(ahead) >= 5 else NO_PATH
 
     def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
-        gate = cones.xy_m[cones.color == ConeColor.BIG_ORANGE]
+        gate = cones.xy_m[cones.color == BIG]
         if self._racing is not None and self._racing.located:
             # Where the car is in the map says it better than the gate.
             self._state = replace(self._state, line=replace(self._state.line, at_distance_m=motion.distance_m))
