@@ -17,7 +17,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.path_tracking import Line, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.speed_profile import BRAKING_SHARE_MIN, speed_profile
+from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.demo import DemoState, advance_demo
 from fsai_vcu.core.missions.request import CarView, MissionRequest
@@ -315,8 +315,7 @@ class Controller:
         wanted = (aim - later) / settings.preview_s
         # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
-        sideways = speed * speed * curvature / settings.race_lateral_mps2
-        hardest = settings.braking_max_mps2 * math.sqrt(max(1.0 - sideways * sideways, BRAKING_SHARE_MIN**2))
+        hardest = settings.braking_max_mps2 * braking_share(speed * speed * curvature / settings.race_lateral_mps2)
         wanted = min(max(wanted, -hardest), most_mps2(self._car, speed))
         if self._accelerated_ns is not None:
             most = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)

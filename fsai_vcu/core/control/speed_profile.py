@@ -13,6 +13,12 @@ SMOOTHED_OVER = 5  # points: a curvature counts for the speed when it lasts
 BRAKING_SHARE_MIN = 0.2  # of the braking, that is left in a corner at the limit of grip
 
 
+def braking_share(sideways: float) -> float:
+    """Of the braking, what is left where so much of the lateral grip is used: they share one ellipse."""
+    left = 1.0 - sideways * sideways
+    return math.sqrt(left) if left > BRAKING_SHARE_MIN**2 else BRAKING_SHARE_MIN
+
+
 def speed_profile(
     curvature_1pm: Floats,
     max_mps: float,
@@ -24,7 +30,7 @@ def speed_profile(
     """(N,) square of the highest speed (m2/s2) at each point of a path with points every `STEP_M`.
 
     end: how far (m) the path is supported, and the speed (m/s) there; stop_m: where the car must stand;
-    grip_mps2: lateral, braking before corners and braking to the stop; lateral and braking share one ellipse.
+    grip_mps2: lateral, braking before corners and braking to the stop.
     curvature_rate_1pms: how fast (1/(m s)) the steering changes the curvature.
     """
     lateral, braking, stopping = grip_mps2
@@ -41,9 +47,7 @@ def speed_profile(
     used = (np.abs(curvature) / lateral).tolist()  # of the lateral grip, by the square of the speed
     square = squares[-1]
     for at in range(count - 2, -1, -1):
-        left = 1.0 - (used[at + 1] * square) ** 2
-        share = math.sqrt(left) if left > BRAKING_SHARE_MIN**2 else BRAKING_SHARE_MIN
-        square = min(squares[at], square + 2.0 * STEP_M * braking * share)
+        square = min(squares[at], square + 2.0 * STEP_M * braking * braking_share(used[at + 1] * square))
         squares[at] = square
     whole = np.array(squares)
     return whole if stop_m is None else np.minimum(whole, 2.0 * stopping * np.maximum(stop_m - along, 0.0))

@@ -8,7 +8,7 @@ from fsai_vcu.core.missions.acceleration import closed_at, finish_seen, follow_l
 from fsai_vcu.core.missions.registration import on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import BLIND_MAX_M, CONES_MIN, Course, blind, braking_m
+from fsai_vcu.core.planning.course import Course, Sight, braking_m
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
@@ -31,12 +31,11 @@ class AccelerationStrategy:
         self._lane = staged(motion)
         self._stop_m = missions.acceleration_stop_max_m  # until the finish only the rules' limit counts
         self._finished = False
-        self._seen_at_m = motion.distance_m
+        self._sight = Sight(motion)
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         cones = memory.around(motion)
-        if len(seen_xy_m) >= CONES_MIN:
-            self._seen_at_m = motion.distance_m
+        lost = self._sight.lost(seen_xy_m, motion)
         self._lane = lane = follow_lane(self._lane, motion, cones.xy_m)
         at, along_m = on_course(lane.pose, cones.xy_m), float(lane.pose[0])
         if along_m < self._finish_m:
@@ -49,8 +48,8 @@ class AccelerationStrategy:
         wall = closed_at(max(self._finish_m, along_m), at)
         if wall is not None:
             left = min(left, wall - along_m - self._nose_m - 1.0)
-        if motion.distance_m - self._seen_at_m > BLIND_MAX_M and not self._finished:
-            return blind(motion.distance_m - self._seen_at_m)
+        if lost is not None and not self._finished:
+            return lost
         path = lane.ahead(self.HORIZON_M, self._step_m)
         sure, note = (1.0, "") if lane.found else (0.3, "straight on by odometry: no lane has been found")
         return Course(path, int(self._finished), self._finished, max(0.0, left), confidence=sure, note=note)

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
+from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.interface.immutable import Immutable
 
 BRAKING_DELAY_S = 0.3
@@ -42,9 +41,20 @@ class Strategy(Protocol):
         """The way on, after `memory` has taken in the cones seen (vehicle frame) from `motion`."""
 
 
-def blind(blind_m: float) -> Course:
-    """No way on, as no cones have been seen for so long."""
-    return Course(np.zeros((0, 2)), supported_m=0.0, confidence=0.0, note=f"no cones are seen for {blind_m:.0f} m")
+class Sight:
+    """How far the car has driven since cones were seen."""
+
+    def __init__(self, motion: Motion) -> None:
+        self._seen_at_m = motion.distance_m
+
+    def lost(self, seen_xy_m: Floats, motion: Motion) -> Course | None:
+        """No way on, where none were seen for too long; None as long as they are."""
+        if len(seen_xy_m) >= CONES_MIN:
+            self._seen_at_m = motion.distance_m
+        blind_m = motion.distance_m - self._seen_at_m
+        if blind_m <= BLIND_MAX_M:
+            return None
+        return Course(NO_PATH, supported_m=0.0, confidence=0.0, note=f"no cones are seen for {blind_m:.0f} m")
 
 
 def braking_m(speed_mps: float, deceleration_mps2: float) -> float:

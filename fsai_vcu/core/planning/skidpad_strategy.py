@@ -10,7 +10,7 @@ from fsai_vcu.core.missions.registration import from_car
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.skidpad import advance_skidpad, laps_done, search_skidpad, skidpad_course, staged
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import BLIND_MAX_M, CONES_MIN, Course, blind
+from fsai_vcu.core.planning.course import Course, Sight
 from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -30,18 +30,18 @@ class SkidpadStrategy:
 
     def anchor(self, motion: Motion) -> None:
         self._state = staged(motion)
-        self._anchored_at_m = self._seen_at_m = motion.distance_m
+        self._anchored_at_m = motion.distance_m
+        self._sight = Sight(motion)
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         course = self._course
         self._state = state = advance_skidpad(course, self._state, motion, seen_xy_m)
         if state.progress_m < self.SEARCHED_UNTIL_M:
             self._state = state = search_skidpad(course, state, seen_xy_m)
-        if len(seen_xy_m) >= CONES_MIN:
-            self._seen_at_m = motion.distance_m
+        lost = self._sight.lost(seen_xy_m, motion)
         finished = state.progress_m >= course.finish_m
-        if motion.distance_m - self._seen_at_m > BLIND_MAX_M and not finished:
-            return blind(motion.distance_m - self._seen_at_m)
+        if lost is not None and not finished:
+            return lost
         ahead = np.arange(0.0, self.HORIZON_M + 1e-9, self._step_m)
         if not state.found:
             if motion.distance_m - self._anchored_at_m > self.LANE_IN_MAX_M:
