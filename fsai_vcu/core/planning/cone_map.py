@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.planning.pose import NO_PATH, to_odometry, to_vehicle
+from fsai_vcu.core.planning.cone_memory import in_view, matched
+from fsai_vcu.core.planning.pose import NO_PATH, gaps, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.immutable import replace
 
@@ -150,11 +151,9 @@ class ConeMap:
         found = np.zeros(len(cones), dtype=bool)
         new = np.ones(len(at), dtype=bool)
         if len(at) and len(near):
-            gap = _gaps(at, cones["xy"][near])
-            nearest = gap.argmin(axis=1)
-            rows = np.arange(len(at))
-            new = gap[rows, nearest] > settings.same_cone_m
-            same = ~new & (gap[:, nearest].argmin(axis=0) == rows)
+            nearest, gap, mutual = matched(at, cones["xy"][near])
+            new = gap > settings.same_cone_m
+            same = ~new & mutual
             known = near[nearest[same]]
             found[known] = True
             cones["hits"][known] += 1.0
@@ -164,17 +163,14 @@ class ConeMap:
             cones["last_m"][known] = here.distance_m
             cones["trust"][known] += TRUST_GAIN * (1.0 - cones["trust"][known])
         local = to_vehicle(here, cones["xy"][near])
-        reach = np.hypot(local[:, 0], local[:, 1])
-        angle = np.abs(np.arctan2(local[:, 1], local[:, 0]))
-        in_view = (reach < settings.view_range_m) & (reach > 2.5) & (angle < settings.view_half_angle_rad)
-        missed = near[in_view & ~found[near]]
+        missed = near[in_view(local, _lengths(local), settings) & ~found[near]]
         cones["trust"][missed] *= 1.0 - TRUST_GAIN
         gone = missed[cones["trust"][missed] < TRUST_MIN]
         moved = near[_lengths(cones["xy"][near] - cones["known"][near]) > MOVED_M]
         news = np.concatenate((gone, moved))
         news = news[cones["hits"][news] >= BELIEVED_HITS]
         if len(news) and len(self.lap_xy_m):
-            self.changed |= bool(_gaps(cones["xy"][news], self.lap_xy_m).min() < BORDER_M)
+            self.changed |= bool(gaps(cones["xy"][news], self.lap_xy_m).min() < BORDER_M)
         if len(gone):
             cones = np.delete(cones, gone)
         if new.any():
@@ -209,11 +205,11 @@ class ConeMap:
         """
         cones = self._cones
         first, second = np.flatnonzero(old), np.flatnonzero(again)
-        gap = _gaps(cones["xy"][second], cones["xy"][first])
+        gap = gaps(cones["xy"][second], cones["xy"][first])
         same = gap.min(axis=1) < GATE_M
         cones["last_m"][first[gap.argmin(axis=1)[same]]] = self.here.distance_m
         way = np.array([way for way, _, _ in self._track])
-        passed_m = way[::4][_gaps(cones["xy"], driven_xy_m[::4]).argmin(axis=1)]
+        passed_m = way[::4][gaps(cones["xy"], driven_xy_m[::4]).argmin(axis=1)]
         across = np.abs(passed_m - cones["way_m"]) > RECENT_M
         across[first] = across[second] = False
         self._cones = np.delete(cones, np.concatenate((second[same], np.flatnonzero(across))))
@@ -226,7 +222,7 @@ def registered(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats, drift_m: flo
     spread = SIGMA_M + SIGMA_PER_M * _lengths(seen_xy_m)
     for _ in range(2):
         at = to_odometry(here, seen_xy_m)
-        error = fixed_xy_m[_gaps(at, fixed_xy_m).argmin(axis=1)] - at
+        error = fixed_xy_m[gaps(at, fixed_xy_m).argmin(axis=1)] - at
         size = np.maximum(_lengths(error), 1e-9)
         weight = np.where(size < GATE_M, np.minimum(1.0, 2.0 * spread / size) / spread**2, 0.0)  # Huber's
         arm_x, arm_y = at[:, 0] - here.x_m, at[:, 1] - here.y_m
@@ -281,13 +277,8 @@ def fit_of(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> float:
     """How well the cones seen from `here` agree with the known ones: 1 all and exactly, 0 none (or none seen)."""
     if not len(seen_xy_m) or not len(fixed_xy_m):
         return 0.0
-    gap = _gaps(to_odometry(here, seen_xy_m), fixed_xy_m).min(axis=1)
+    gap = gaps(to_odometry(here, seen_xy_m), fixed_xy_m).min(axis=1)
     return float(np.maximum(0.0, 1.0 - (gap / GATE_M) ** 2).sum() / max(len(gap), 3))
-
-
-def _gaps(a: Floats, b: Floats) -> Floats:
-    """(N, M) distances between two sets of points."""
-    return np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
 
 
 def _lengths(vectors: Floats) -> Floats:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
-from fsai_vcu.core.planning.pose import to_odometry, to_vehicle, within
+from fsai_vcu.core.planning.pose import gaps, to_odometry, to_vehicle, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 Bools = NDArray[np.bool_]
@@ -95,12 +95,9 @@ class ConeMemory:
             new = np.ones(len(at), dtype=bool)
             if len(cones):
                 xy = cones["xy"]
-                gap = np.hypot(at[:, None, 0] - xy[None, :, 0], at[:, None, 1] - xy[None, :, 1])
-                nearest = gap.argmin(axis=1)
-                rows = np.arange(len(at))
-                mutual = gap[:, nearest].argmin(axis=0) == rows
-                same = mutual & (gap[rows, nearest] <= settings.same_cone_m)
-                new = ~same & (gap[rows, nearest] > DUPLICATE_M)
+                nearest, gap, mutual = matched(at, xy)
+                same = mutual & (gap <= settings.same_cone_m)
+                new = ~same & (gap > DUPLICATE_M)
                 known = nearest[same]
                 seen[known] = True
                 cones["hits"][known] += 1
@@ -119,13 +116,8 @@ class ConeMemory:
         if len(cones):
             here = to_vehicle(motion, cones["xy"])
             reach = np.hypot(here[:, 0], here[:, 1])
-            in_view = (
-                (reach < settings.view_range_m)
-                & (reach > 2.5)
-                & (np.abs(np.arctan2(here[:, 1], here[:, 0])) < settings.view_half_angle_rad)
-            )
             hits, misses = cones["hits"], cones["misses"]
-            misses[in_view & ~seen] += 1.0
+            misses[in_view(here, reach, settings) & ~seen] += 1.0
             self.total += int(((hits >= settings.hits_to_believe) & ~before).sum())
             keep = (
                 (here[:, 0] > -settings.behind_m)
@@ -166,6 +158,20 @@ class ConeMemory:
         """The lane has these cones on its left (+1) or right (-1), surely or less so."""
         known = self._cones["side"]
         known[index] = within(known[index] + side, 6.0)
+
+
+def matched(at: Floats, known: Floats) -> tuple[Ints, Floats, Bools]:
+    """(N,) for each place (N, 2) the nearest of the known ones (M, 2), how far it is, and whether no other place is
+    nearer to it."""
+    gap = gaps(at, known)
+    nearest, rows = gap.argmin(axis=1), np.arange(len(at))
+    return nearest, gap[rows, nearest], gap[:, nearest].argmin(axis=0) == rows
+
+
+def in_view(here: Floats, reach: Floats, settings: PlannerSettings) -> Bools:
+    """(N,) whether a cone there (N, 2, vehicle frame; so far off) would be seen if it stood."""
+    angle = np.abs(np.arctan2(here[:, 1], here[:, 0]))
+    return (reach < settings.view_range_m) & (reach > 2.5) & (angle < settings.view_half_angle_rad)
 
 
 def by_chain(xy_m: Floats, side: Floats) -> Floats:

@@ -29,6 +29,11 @@ def to_vehicle(motion: Motion, xy_m: Floats) -> Floats:
     return out
 
 
+def gaps(a: Floats, b: Floats) -> Floats:
+    """(N, M) distances between two sets of points."""
+    return np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
+
+
 def lengths_along(path_m: Floats) -> Floats:
     """(N,) length of path up to each of its points."""
     along = np.zeros(len(path_m))
