@@ -137,11 +137,11 @@ def ask(
     return controller.command(plan, motion, motion.speed_mps < 0.1, (0.0,) * 4, 0.0, run, now_ns)
 
 
-def held(plan: Plan, controller: Controller) -> VehicleCommand:
+def held(plan: Plan, controller: Controller, speed_mps: float = 0.0) -> VehicleCommand:
     """The command to a car that is held in its place for a second, with a plan that is ever the same."""
     for tick in range(50):
         now = tick * 20 * MS
-        command = ask(replace(plan, t_sensor_ns=now), 0.0, controller, now_ns=now)
+        command = ask(replace(plan, t_sensor_ns=now), speed_mps, controller, now_ns=now)
     return command
 
 
@@ -157,6 +157,15 @@ def test_a_free_straight_is_accelerated_on() -> None:
     command = ask(plan_of(STRAIGHT), speed_mps=2.0)
     assert command.throttle > 0.9
     assert (command.brake, command.steering_rad) == (0.0, pytest.approx(0.0, abs=1e-9))
+
+
+def test_a_car_askew_in_a_bend_gains_no_speed() -> None:
+    """But pointing along it, or about at rest, it does."""
+    along, (cos, sin) = arc(3.5), (math.cos(0.3), math.sin(0.3))
+    away = plan_of(along @ np.array([[cos, sin], [-sin, cos]]))
+    assert held(away, reset_for(RUN), 2.6).throttle < 0.15
+    assert held(away, reset_for(RUN), 2.4).throttle > 0.5
+    assert ask(plan_of(along), speed_mps=2.6).throttle > 0.5
 
 
 def test_near_the_speed_that_is_set_the_throttle_only_holds_it() -> None:

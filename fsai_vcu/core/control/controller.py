@@ -34,6 +34,9 @@ HELD_BELOW_MPS = 0.1  # so that a speed held does not exceed the one that is set
 NEARLY_AT_REST_MPS = 1.5
 ASIDE_MAX_M = 4.0  # a path further beside the car …
 AHEAD_MAX_M = 6.0  # … or that begins further ahead of it is not one from where it is
+# A car that turns so much and moves so far off its path's direction gains no speed beyond this: on its way out of a
+# hairpin, where the steering was at its end, the steering needs all its rate to get back.
+ASKEW_1PM, ASKEW_RAD, ASKEW_MPS = 0.2, 0.07, 2.5
 PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
 STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
 PREDICTED_IN = 5  # steps
@@ -241,7 +244,10 @@ class Controller:
             self._note = f"the plan is {age_s:.1f} s old"
         if age_s > settings.plan_lost_s:
             return 0.0, settings.gentle_brake
-        throttle, brake = self._accelerate(line, station - travel, speed, now_ns)
+        askew = math.remainder(course - float(np.interp(station, line.along_m, line.heading_rad)), 2.0 * math.pi)
+        late = not plan.mapped and abs(curvature) > ASKEW_1PM and abs(askew) > ASKEW_RAD and speed > ASKEW_MPS
+        most = 0.0 if late else most_mps2(self._car, speed)
+        throttle, brake = self._accelerate(line, station - travel, speed, most, now_ns)
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
     def _profile_of(self, plan: Plan, line: Line) -> Floats:
@@ -305,8 +311,9 @@ class Controller:
             self._taken_up_rad = math.copysign(settings.backlash_share * car.steer_backlash_rad, turned)
         self._steering_rad = self._within(road + self._taken_up_rad)
 
-    def _accelerate(self, line: Line, here_m: float, speed: float, now_ns: int) -> tuple[float, float]:
-        """Throttle and brake for the acceleration that meets the profile a moment ahead, of bounded jerk."""
+    def _accelerate(self, line: Line, here_m: float, speed: float, most: float, now_ns: int) -> tuple[float, float]:
+        """Throttle and brake for the acceleration, `most` (m/s2) at most, that meets the profile a moment ahead, of
+        bounded jerk."""
         settings = self._settings
         assert self._profile is not None
         later = speed + self._acceleration_mps2 * settings.reaction_s
@@ -316,12 +323,12 @@ class Controller:
         # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
         hardest = settings.braking_max_mps2 * braking_share(speed * speed * curvature / settings.race_lateral_mps2)
-        wanted = min(max(wanted, -hardest), most_mps2(self._car, speed))
+        wanted = min(max(wanted, -hardest), most)
         if self._accelerated_ns is not None:
-            most = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
-            wanted = min(wanted, self._acceleration_mps2 + most)
+            change = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
+            wanted = min(wanted, self._acceleration_mps2 + change)
             if wanted > -hardest:  # what nobody could foresee is braked for at once
-                wanted = max(wanted, self._acceleration_mps2 - most)
+                wanted = max(wanted, self._acceleration_mps2 - change)
         self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
         self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)
         if self._braking and speed > 0.3:
