@@ -144,7 +144,7 @@ def test_a_silent_planner_is_named_and_its_path_gone(nodes: Nodes, wall: PitWall
 
 def test_of_silent_nodes_nothing_is_left_to_draw(nodes: Nodes, wall: PitWall) -> None:
     ((said, urgency),) = drawn(wall)["nodes"]
-    assert said == "/vehicle_state, which nobody publishes: nothing received yet" and urgency == "warning"
+    assert said.startswith("/vehicle_state") and said.endswith(": nothing received yet") and urgency == "warning"
     await_all(nodes, wall)
     nodes.rig.spin_until(lambda: "pose" not in drawn(wall), "the bridge's silence")
     now, before = wall.look()

@@ -43,11 +43,12 @@ class Listener:
 
     def stop(self) -> None:
         self._executor.shutdown(timeout_sec=1.0)
+        self._thread.join(5.0)  # before ROS ends under it
+        self._node.destroy_node()
         self._context.try_shutdown()
-        self._thread.join(5.0)
 
     def _spin(self) -> None:
         try:
             self._executor.spin()
         except ExternalShutdownException:
-            return  # `stop` has ended ROS
+            return  # somebody else has ended ROS
