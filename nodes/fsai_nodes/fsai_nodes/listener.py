@@ -8,11 +8,13 @@ import threading
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fsai_vcu.runtime.transport import set_transport
+
+TURN_S = 0.1
 
 
 class Listener:
@@ -22,7 +24,9 @@ class Listener:
         """Raises ValueError where `namespace` is none."""
         self._context = Context()
         set_transport(os.environ)
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        # It leaves no log file behind, and needs no place for one.
+        words = ["--ros-args", "--disable-external-lib-logs"]
+        rclpy.init(args=words, context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         try:
             self._node = Node(
                 name,
@@ -36,19 +40,20 @@ class Listener:
             raise ValueError(f"{namespace} is no ROS namespace; one is like /car1") from error
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def stop(self) -> None:
+        """The thread first: what it waits for must not be destroyed under it."""
+        self._ended.set()
+        self._thread.join(5.0)
         self._executor.shutdown(timeout_sec=1.0)
-        self._thread.join(5.0)  # before ROS ends under it
         self._node.destroy_node()
         self._context.try_shutdown()
 
     def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return  # somebody else has ended ROS
+        while not self._ended.is_set():
+            self._executor.spin_once(timeout_sec=TURN_S)
