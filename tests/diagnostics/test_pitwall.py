@@ -133,9 +133,9 @@ def test_the_way_is_that_of_the_log_however_seldom_one_looks(run: Frames, step_n
 
 
 def test_a_run_begins_at_its_frame_whenever_one_looks(run: Frames) -> None:
-    driven_ns = run.t_ns[0] + 13 * S
+    driven_ns = run.t_ns[0] + 17 * S
     pushed = run.only((run.can_id == 0x525) & (run.t_ns > driven_ns) & (run.t_ns < driven_ns + 3 * S))
-    both = joined([run, pushed.at(pushed.t_ns - 6 * S)])  # in AS_READY
+    both = joined([run, pushed.at(pushed.t_ns - 10 * S - 5 * MS)])  # in AS_READY, between those that say 0
     trace, alone = traced(both.only(np.argsort(both.t_ns, kind="stable")), LONG_NS), traced(run, 200 * MS)
     assert trace.pose == pytest.approx(alone.pose, abs=1e-6)
     assert len(trace.line.points) == len(alone.line.points)
