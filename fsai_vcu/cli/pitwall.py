@@ -81,12 +81,11 @@ def run(args: argparse.Namespace) -> int:
             return sources.status
     host = f"[{args.host}]" if ":" in args.host else args.host
     try:
-        with server:
+        with server, _nodes(args) as nodes:
             print(f"http://{host}:{server.server_address[1]} shows {sources.name} until Ctrl-C", flush=True)
             if not server.names:
                 print(f"everybody who reaches {args.host} of this machine over a network can watch", flush=True)
-            with _nodes(args) as nodes:
-                _show(source, server, nodes, args)
+            _show(source, server, nodes, args)
     except KeyboardInterrupt:
         pass
     finally:
