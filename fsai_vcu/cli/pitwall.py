@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.cli.services import nodes_module
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -17,23 +20,31 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.monitor.sources import Source
     from fsai_vcu.diagnostics.pitwall.server import Server
 
-EXAMPLE = "fsai-vcu pitwall can0\n  fsai-vcu pitwall run.log --rate 1 --loop\n  fsai-vcu pitwall can0 --host 0.0.0.0"
+EXAMPLE = (
+    "fsai-vcu pitwall can0 --ros\n  fsai-vcu pitwall run.log --rate 1 --loop\n  fsai-vcu pitwall can0 --host 0.0.0.0"
+)
 ABOUT = """\
 AS state with its lights, mission, why the car is not driving, what is asked and
 given, laps, faults and what to do, the bus, and the way driven: on one page for
-a wall, a tablet or a phone, without a network of others. It never sends, and the
-page has no buttons. It is to be seen on this machine only, unless --host opens
-it. A log is played."""
+a wall, a tablet or a phone, without a network of others. With --ros also what
+the running nodes say: cones, the planned path, the place to stop at, and the
+words of bridge, planner and controller. It never sends, and the page has no
+buttons. It is to be seen on this machine only, unless --host opens it. A log is
+played."""
+Said = tuple[dict[str, Any], dict[str, Any]]  # for the page's state, and for its story
 PORT: Final = 8650
 SHOWN_S: Final = 0.2
 UNSEEN_S: Final = 1.0  # while nobody looks
 STORY_S: Final = 1.0
+PLAYED_S: Final = 25.0  # of a log at a time: of so much the view has every frame
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
     parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast (default: 1)")
     parser.add_argument("--loop", action="store_true", help="play a log again and again")
+    parser.add_argument("--ros", action="store_true", help="also what the running nodes say: cones, path and status")
+    parser.add_argument("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
     add_server_arguments(parser, PORT)
 
 
@@ -47,8 +58,10 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("pitwall", [args.source])
     if sources.live and (args.rate is not None or args.loop):
         raise WrongUse("--rate and --loop are for logs")
-    if not sources.live and args.seconds is not None:
-        raise WrongUse("--seconds is for live buses")
+    if not sources.live and (args.seconds is not None or args.ros):
+        raise WrongUse("--seconds and --ros are for live buses")
+    if args.namespace and not args.ros:
+        raise WrongUse("--namespace goes with --ros")
     databases = Decoding("pitwall", args).databases if args.dbc else None
     view = View("standard input" if args.source == "-" else Path(sources.name).name, args.revision, databases)
     chunks = sources.chunks(args.seconds, waits=True)
@@ -56,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
         server = Server(args.host, args.port)
     except OSError as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
+    os.nice(5)  # what drives the car goes first
     source: Source
     if sources.live:
         first = list(islice(chunks, 1))  # the bus is opened here, not in the thread
@@ -67,11 +81,11 @@ def run(args: argparse.Namespace) -> int:
             return sources.status
     host = f"[{args.host}]" if ":" in args.host else args.host
     try:
-        with server:
+        with server, _nodes(args) as nodes:
             print(f"http://{host}:{server.server_address[1]} shows {sources.name} until Ctrl-C", flush=True)
             if not server.names:
                 print(f"everybody who reaches {args.host} of this machine over a network can watch", flush=True)
-            _show(source, server, loop=args.loop)
+            _show(source, server, nodes, args)
     except KeyboardInterrupt:
         pass
     finally:
@@ -79,29 +93,50 @@ def run(args: argparse.Namespace) -> int:
     return sources.status
 
 
-def _show(source: Source, server: Server, *, loop: bool) -> None:
+@contextmanager
+def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
+    """What the nodes say now; nothing where that is not asked for."""
+    if not args.ros:
+        yield lambda: ({}, {})
+        return
+    try:
+        listener = nodes_module("pitwall").PitWall(args.namespace or "/")
+    except ValueError as error:
+        raise UserError(f"--namespace {error}") from error
+    listener.start()
+    try:
+        yield listener.look
+    finally:
+        listener.stop()
+
+
+def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argparse.Namespace) -> None:
     """Until a bus is over. The picture is made as often as somebody looks, the story of the run once a second."""
     from fsai_vcu.diagnostics.monitor.sources import Log
     from fsai_vcu.diagnostics.pitwall.board import events_of, state_of
     from fsai_vcu.diagnostics.pitwall.trace import Trace
 
-    os.nice(5)  # what drives the car goes first
     trace = Trace()
+    run = ""
+    most_s = PLAYED_S / (args.rate or 1.0)
     shown_s = story_s = time.monotonic()
     while True:
         view, picture, _, words = source.look()
-        trace.update(view.memory, picture)
-        if shown_s >= story_s and server.viewers:  # it takes the longer the longer the run is
+        trace.update(view.memory, picture.revision)
+        drawn, driven = nodes()
+        before, run = run, f"{trace.run}/{drawn.get('run')}"  # what is drawn together is of one run, in one frame
+        if server.viewers and (shown_s >= story_s or run != before):  # it takes the longer the longer the run is
             story_s = shown_s + STORY_S
-            points = [round(100 * each) for point in trace.points for each in point]
-            server.publish("story", {"way_cm": points, "events": events_of(view.events(), picture.t_ns, source.clock)})
+            events = events_of(view.events(), picture.t_ns, source.clock)
+            server.publish("story", {"way_cm": trace.line.way_cm, "events": events, **driven, "run": run})
         clock = words if source.playing else f"{words}: its end"
-        server.publish("state", {**state_of(picture), "clock": clock, "pose": [round(each, 3) for each in trace.pose]})
+        pose = [round(each, 3) for each in trace.pose]
+        server.publish("state", {**state_of(picture), "clock": clock, "pose": pose, **drawn, "run": run})
         if source.ended and not isinstance(source, Log):
             return
-        if source.ended and loop:
+        if source.ended and args.loop:
             source.pause()  # at its end: from the start
-        source.wait(SHOWN_S if server.viewers else UNSEEN_S)
+        source.wait(min(SHOWN_S if server.viewers else UNSEEN_S, most_s))
         now_s = time.monotonic()
-        source.advance(now_s - shown_s)
+        source.advance(min(now_s - shown_s, most_s))
         shown_s = now_s

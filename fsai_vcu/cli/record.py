@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import os
 import platform
 import re
 import signal
@@ -12,13 +11,13 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.cli.services import nodes_module
 from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.export.writing import check_format
 from fsai_vcu.diagnostics.log.live import Listener
@@ -26,7 +25,6 @@ from fsai_vcu.diagnostics.recorder.recording import Recording
 from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_words
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
-from fsai_vcu.runtime.configuration import usual_environment
 from fsai_vcu.runtime.limits_file import read_limits
 
 EXAMPLE = (
@@ -243,14 +241,7 @@ def _topics(args: argparse.Namespace) -> Any | None:
     """Receives what the nodes publish; None where that is not asked for."""
     if not args.ros:
         return None
-    os.environ.update(usual_environment())
-    try:
-        recorder: Any = import_module("fsai_nodes.recorder")
-    except ImportError as error:
-        raise UserError(
-            f"--ros needs ROS 2 and the project's nodes in this Python environment ({error}): "
-            "source the workspace's setup file, or run `make setup`"
-        ) from error
+    recorder = nodes_module("recorder")
     try:
         return recorder.TopicRecorder((*recorder.PROJECT_TOPICS, *args.topic), args.namespace or "/")
     except ValueError as error:

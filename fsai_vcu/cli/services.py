@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from typing import Any
 
 from fsai_vcu.cli.arguments import check_numbers
@@ -30,6 +31,18 @@ def add_bridge_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="give up after so long (10 s)")
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
+
+
+def nodes_module(name: str) -> Any:
+    """A module of the project's nodes, to find them where the car's configuration says. Raises UserError."""
+    os.environ.update(usual_environment())
+    try:
+        return import_module(f"fsai_nodes.{name}")
+    except ImportError as error:
+        raise UserError(
+            f"--ros needs ROS 2 and the project's nodes in this Python environment ({error}): "
+            "source the workspace's setup file, or run `make setup`"
+        ) from error
 
 
 @contextmanager

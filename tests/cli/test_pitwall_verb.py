@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,10 @@ import pytest
 from talking_bus import talking
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import WheelSpeeds
+from fsai_vcu.interface.revisions import revision
 
 NAME = f"loopback:pitwall-{os.getpid()}"
 DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
@@ -41,17 +45,22 @@ def watching(*argv: str) -> Iterator[tuple[int, list[str]]]:
     assert (process.returncode, out, err) == (0, "", "")
 
 
-def states(port: int) -> Iterator[dict[str, Any]]:
-    """As they come, over one connection."""
+def events(port: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Names and data as they come, over one connection."""
     client = HTTPConnection("127.0.0.1", port, timeout=60)
     client.request("GET", "/events")
     answer = client.getresponse()
     assert answer.headers.get_content_type() == "text/event-stream"
-    before = b""
-    for line in answer:
-        if line.startswith(b"data: ") and before == b"event: state\n":
-            yield json.loads(line.removeprefix(b"data: "))
-        before = line
+    name = ""
+    for line in map(bytes.decode, answer):
+        if line.startswith("event: "):
+            name = line.removeprefix("event: ").strip()
+        elif line.startswith("data: "):
+            yield name, json.loads(line.removeprefix("data: "))
+
+
+def states(port: int) -> Iterator[dict[str, Any]]:
+    return (data for name, data in events(port) if name == "state")
 
 
 def test_a_bus_is_shown_again_and_again_and_nothing_is_sent() -> None:
@@ -83,6 +92,19 @@ def test_a_log_is_played_to_its_end_and_stays(log: str) -> None:
         assert (ended["as_state"], ended["channel"]) == ("AS_DRIVING", "run.log")
         assert ended["clock"] == "2.0 s into the log: its end"
         assert next(states(port))["clock"] == ended["clock"]
+
+
+def test_a_log_played_fast_leaves_no_gap_in_the_way(tmp_path: Path) -> None:
+    path, wheels = tmp_path / "long.log", Codec(revision("2026")).encode(WheelSpeeds(40, 40, 40, 40)).data.hex()
+    path.write_text("".join(f"({n / 10:.6f}) can0 525#{wheels}\n" for n in range(1000, 4000)))  # 300 s
+    with watching(str(path), "--rate", "2000") as (port, _):
+        ended = False
+        for name, event in events(port):
+            ended = ended or (name == "state" and event["clock"].endswith("its end"))
+            if ended and name == "story":
+                break
+    steps_cm = [after - before for before, after in pairwise(event["way_cm"][::2])]
+    assert len(steps_cm) > 500 and max(steps_cm) < 100
 
 
 def test_a_log_in_a_loop_begins_again(log: str) -> None:

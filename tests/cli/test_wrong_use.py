@@ -82,7 +82,9 @@ USES = [
     (f"monitor {BUS} --rate 1", 2, "--at and --rate are for logs"),
     ("monitor run.log --signals AS_STATE,NOTHING*", 1, "no signal NOTHING*; fsai-vcu dbc show lists them"),
     ("pitwall can0 --loop", 2, "--rate and --loop are for logs"),
-    ("pitwall run.log --seconds 1", 2, "--seconds is for live buses"),
+    ("pitwall run.log --seconds 1", 2, "--seconds and --ros are for live buses"),
+    ("pitwall run.log --ros", 2, "--seconds and --ros are for live buses"),
+    ("pitwall can0 --namespace /car1", 2, "--namespace goes with --ros"),
     ("pitwall run.log --rate 0", 2, "--rate is 0, but must be 0.01 or more"),
     ("pitwall run.log --port 70000", 2, "--port is 70000, but must be 0 to 65535"),
     # ---------------------------------------------------------------- replay and record

@@ -14,9 +14,10 @@ import pytest
 
 from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.log import live
-from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Picture
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
 from fsai_vcu.diagnostics.pitwall.server import MOST_CONNECTIONS, Server
@@ -111,37 +112,44 @@ def test_events_are_the_newest_first_and_none_of_later(run: Frames) -> None:
 # ---------------------------------------------------------------- the way driven
 
 
-def test_the_way_grows_to_that_of_the_whole_log(run: Frames) -> None:
+def traced(frames: Frames, step_ns: int) -> Trace:
+    """As the frames come, looked at so often."""
     view, trace = View("can0"), Trace()
-    for begin_ns in range(int(run.t_ns[0]), int(run.t_ns[-1]) + 1, 200 * MS):
-        view.update(run.only((run.t_ns >= begin_ns) & (run.t_ns < begin_ns + 200 * MS)))
-        trace.update(view.memory, view.picture(begin_ns + 200 * MS))
-    way = way_of(Record(run, "2026"))
+    view.update(frames.head(1))
+    trace.update(view.memory, "2026")
+    for begin_ns in range(int(frames.t_ns[0]) + 1, int(frames.t_ns[-1]) + 1, step_ns):
+        view.update(frames.only((frames.t_ns >= begin_ns) & (frames.t_ns < begin_ns + step_ns)))
+        trace.update(view.memory, "2026")
+    return trace
+
+
+@pytest.mark.parametrize("step_ns", [200 * MS, 7 * S, LONG_NS])
+def test_the_way_is_that_of_the_log_however_seldom_one_looks(run: Frames, step_ns: int) -> None:
+    trace, way = traced(run, step_ns), way_of(Record(run, "2026"))
     assert way is not None and way.length_m > 40.0
     assert trace.pose[:2] == (pytest.approx(way.x_m[-1], abs=0.01), pytest.approx(way.y_m[-1], abs=0.01))
-    steps = np.hypot(*np.diff(np.array(trace.points), axis=0).T)
-    assert len(trace.points) < POINTS and steps.min() >= 0.5 and steps.max() < 1.0
+    steps = np.hypot(*np.diff(np.array(trace.line.points), axis=0).T)
+    assert len(trace.line.points) < POINTS and steps.min() >= 0.5 and steps.max() < 1.0
 
 
-def test_the_way_begins_anew_with_a_run_and_with_a_log(run: Frames) -> None:
-    start, end = View("can0"), View("can0")
+def test_a_run_begins_at_its_frame_whenever_one_looks(run: Frames) -> None:
+    driven_ns = run.t_ns[0] + 17 * S
+    pushed = run.only((run.can_id == 0x525) & (run.t_ns > driven_ns) & (run.t_ns < driven_ns + 3 * S))
+    both = joined([run, pushed.at(pushed.t_ns - 10 * S - 5 * MS)])  # in AS_READY, between those that say 0
+    trace, alone = traced(both.only(np.argsort(both.t_ns, kind="stable")), LONG_NS), traced(run, 200 * MS)
+    assert trace.pose == pytest.approx(alone.pose, abs=1e-6)
+    assert len(trace.line.points) == len(alone.line.points)
+
+
+def test_the_way_begins_anew_with_a_log_and_after_missing_frames(run: Frames) -> None:
+    start, end, later = View("can0"), View("can0"), View("can0")
     start.update(run.head(1))
     end.update(run)
-    off, ready, driving = (
-        Picture(0, "", "2026", "", 1, as_state_heard=state) for state in ("AS_OFF", "AS_READY", "AS_DRIVING")
-    )
+    later.update(run.at(run.t_ns + 2 * LONG_NS))
     trace = Trace()
-    for view, picture, begins in (
-        (start, off, True),
-        (end, off, False),
-        (end, ready, False),
-        (end, driving, True),
-        (start, driving, True),
-        (end, driving, False),
-        (start, off, True),
-    ):
-        trace.update(view.memory, picture)
-        assert ((len(trace.points), trace.pose) == (1, (0.0, 0.0, 0.0))) is begins
+    for view, begins in ((start, True), (end, False), (later, True), (end, True), (start, True), (end, False)):
+        trace.update(view.memory, "2026")
+        assert ((len(trace.line.points), trace.pose) == (1, (0.0, 0.0, 0.0))) is begins
 
 
 # ---------------------------------------------------------------- a bus that goes away

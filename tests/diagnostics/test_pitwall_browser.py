@@ -40,9 +40,28 @@ def driving() -> tuple[dict[str, Any], dict[str, Any]]:
     view = View(NAME)
     view.update(frames.only(frames.t_ns < frames.t_ns[0] + 20 * S))
     end_ns = view.memory.newest_ns or 0
-    state = {**state_of(view.picture(end_ns)), "clock": "12:00:00", "pose": [30.0, 4.0, 0.5]}
+    state = {**state_of(view.picture(end_ns)), "clock": "12:00:00", "pose": [30.0, 4.0, 0.5], "run": "1"}
     events = events_of(view.events(), end_ns, lambda t_ns: f"{t_ns / S:.3f} s")
-    return state, {"way_cm": [0, 0, 1000, 0, 2000, 150], "events": events}
+    return state, {"way_cm": [0, 0, 1000, 0, 2000, 150], "events": events, "run": "1"}
+
+
+@pytest.fixture(scope="module")
+def with_nodes(driving: tuple[dict[str, Any], dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The same where the nodes run: two cones seen, three remembered, half of the path borne out, a place to stop."""
+    drawn = {
+        "nodes": [
+            ["bridge: the steering is held: it moves faster than the car can follow", "warning"],
+            ["bridge: AS_DRIVING, driving by command", ""],
+            ["planner: path of 14 m along its map, 97 % sure, stop in 10 m", ""],
+            ["controller: at most 5.0 m/s", ""],
+        ],
+        "seen_cm": [3400, 700, 1, 3600, 400, 2],
+        "path_cm": [3000, 400, 3400, 550, 3800, 700, 4200, 850],
+        "borne_out": 3,
+        "stop": 2,
+    }
+    before = {"cones_cm": [500, 200, 1, 500, -200, 2, 1000, 200, 4]}
+    return {**driving[0], **drawn}, {**driving[1], **before}
 
 
 @contextmanager
@@ -92,16 +111,55 @@ def test_a_driving_car_is_shown_and_names_stay_text(browser: Chrome, driving: tu
         assert float(text(browser, "speed").split()[0]) > 3.0
         assert text(browser, "faults") == "none"
         until(browser, lambda: "AS_READY → AS_DRIVING" in text(browser, "events"))
-        assert browser.find_element(By.CSS_SELECTOR, "#way polyline").get_attribute("points").count(",") == 4
+        assert points(browser, "way") == 4 and cones(browser) == {} and not stale(browser)
+        assert (text(browser, "track-name"), text(browser, "bus-name")) == ("way driven", "bus")
         given = browser.find_elements(By.CSS_SELECTOR, "#actuators i")
         assert len(given) == 5 and max(bar.size["width"] for bar in given) > 20
         assert heard(browser, "browser") == []  # nothing was refused by the policy either
 
 
+def points(browser: Chrome, name: str) -> int:
+    return (browser.find_element(By.ID, name).get_attribute("points") or "").count(",")
+
+
+def cones(browser: Chrome) -> dict[str, int]:
+    """How many of each colour, of those seen and before."""
+    script = (
+        "return [...document.querySelectorAll('[data-color]')].map((one) =>"
+        " [`${one.parentNode.id} ${one.dataset.color}`, (one.getAttribute('d') || '').split('M').length - 1])"
+    )
+    return {name: count for name, count in browser.execute_script(script) if count}
+
+
+def test_cones_path_and_words_of_the_nodes_are_shown(browser: Chrome, with_nodes: tuple[Any, Any]) -> None:
+    with Server("127.0.0.1", 0) as server, publishing(server, *with_nodes):
+        opened(browser, server)
+        until(browser, lambda: len(cones(browser)) == 5)
+        assert cones(browser) == {"seen 1": 1, "seen 2": 1, "before 1": 1, "before 2": 1, "before 4": 1}
+        assert [points(browser, name) for name in ("way", "path", "doubted", "stop")] == [4, 3, 2, 2]
+        assert (text(browser, "track-name"), text(browser, "bus-name")) == ("track", "bus and nodes")
+        assert "planner: path of 14 m along its map, 97 % sure, stop in 10 m" in text(browser, "bus")
+        assert heard(browser, "browser") == []
+
+
+def test_of_silent_nodes_the_page_shows_the_silence_alone(
+    browser: Chrome, driving: tuple[Any, Any], with_nodes: tuple[Any, Any]
+) -> None:
+    silence = {"nodes": [["/vehicle_state of vcu_bridge has been silent for 2000 ms", "warning"]]}
+    with Server("127.0.0.1", 0) as server:
+        with publishing(server, *with_nodes):
+            opened(browser, server)
+            until(browser, lambda: len(cones(browser)) == 5)
+        with publishing(server, {**driving[0], **silence, "run": "2"}, with_nodes[1]):  # the story is not told anew yet
+            until(browser, lambda: "silent for 2000 ms" in text(browser, "bus"))
+            assert cones(browser) == {} and text(browser, "track-name") == "way driven"
+            assert [points(browser, name) for name in ("way", "path", "doubted", "stop")] == [1, 0, 0, 0]
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), SCREENS)
 def test_no_screen_cuts_anything_off(
-    browser: Chrome, driving: tuple[Any, Any], width: int, height: int, scheme: str
+    browser: Chrome, driving: tuple[Any, Any], with_nodes: tuple[Any, Any], width: int, height: int, scheme: str
 ) -> None:
     faults = [{"names": ["EBS_FAULT"], "text": "the emergency brake system failed", "remedy": "check the air"}]
     why = [{"text": "the VCU braked because of an EBS fault", "remedy": "power-cycle"}]
@@ -113,9 +171,9 @@ def test_no_screen_cuts_anything_off(
         "why_not_driving": why,
         "light": light,
     }
-    state, story = driving
+    (state, _), (more, story) = driving, with_nodes
     set_screen(browser, width, height, mobile=width < 700, scheme=scheme)
-    for shown in (state, {**state, **braking}):
+    for shown in (state, {**state, **braking}, more, {**more, **braking}):
         with Server("127.0.0.1", 0) as server, publishing(server, {**shown, "channel": "can0"}, story):
             opened(browser, server)
             until(browser, lambda shown=shown: text(browser, "state") == shown["as_state"])  # type: ignore[misc]
@@ -169,13 +227,13 @@ def test_what_a_network_held_back_is_not_shown_as_of_now(browser: Chrome, drivin
 
 
 def test_a_silent_bus_is_said_though_the_server_speaks(browser: Chrome) -> None:
-    state = {**state_of(Picture(0, "can0", "2026", "", 0)), "clock": "", "pose": [0, 0, 0]}
+    state = {**state_of(Picture(0, "can0", "2026", "", 0)), "clock": "", "pose": [0, 0, 0], "run": "1"}
     with Server("127.0.0.1", 0) as server:
-        with publishing(server, state, {"way_cm": [], "events": []}):
+        with publishing(server, state, {"way_cm": [], "events": [], "run": "1"}):
             opened(browser, server)
             assert (text(browser, "banner"), text(browser, "state")) == ("nothing is received on can0", "no AS state")
         last = {**state, "silent_s": 12.4, "as_state_heard": "AS_DRIVING"}
-        with publishing(server, last, {"way_cm": [], "events": []}):
+        with publishing(server, last, {"way_cm": [], "events": [], "run": "1"}):
             until(browser, lambda: text(browser, "banner") == "can0 has been silent for 12 s")
             assert (text(browser, "state"), stale(browser)) == ("car silent", False)
             assert text(browser, "speed") == "– m/s"

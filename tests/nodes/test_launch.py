@@ -95,6 +95,17 @@ def test_what_is_started_is_what_was_asked_for() -> None:
     assert together["composed"].ros_words == ("--params-file", "p.yaml", "-p", "path_planner:laps:=3")
 
 
+def test_the_pit_wall_is_a_process_of_its_own_on_the_same_bus(launch_file: dict[str, Any], tmp_path: Path) -> None:
+    found = started(pitwall="true", composed="true", can_interface="loopback:x")
+    assert found["pitwall"].argv[1:] == ["-m", "fsai_vcu.cli.main", "pitwall", "loopback:x", "--ros"]
+    file = tmp_path / "car.yaml"
+    file.write_text("vcu_bridge: {ros__parameters: {can_interface: can7}}\n")
+    assert "can7" in started(pitwall="true", params_file=str(file))["pitwall"].words
+    assert "vcan0" in started(pitwall="true")["pitwall"].words
+    context = SimpleNamespace(launch_configurations={"pitwall": "true", "params_file": "p.yaml"})
+    assert launch_file["start"](context)[-1].options["on_exit"] is None  # nobody's drive ends with it
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -110,14 +121,26 @@ def test_a_wrong_argument_is_refused_in_one_line(given: dict[str, str], words: s
         programs(given)
 
 
-def test_without_launch_the_first_that_ends_ends_the_others(tmp_path: Path) -> None:
+def test_without_launch_the_first_needed_that_ends_ends_all(tmp_path: Path) -> None:
+    (tmp_path / "watches.py").write_text("import os; open('pid', 'w').write(f'{os.getpid()}.')")
+    (tmp_path / "fails.py").write_text(
+        "import os, pathlib, sys\npid = pathlib.Path('pid')\n"
+        "while not (pid.exists() and pid.read_text().endswith('.')): pass\n"
+        "try:\n    while True: os.kill(int(pid.read_text()[:-1]), 0)\n"
+        "except ProcessLookupError:\n    sys.exit(3)\n"
+    )
     code = (
         "import sys; from fsai_nodes.launch import Program, run;"
-        "sys.exit(run([Program('waits', 'http.server', ('0', '--bind', '127.0.0.1')), Program('fails', 'absent')]))"
+        "sys.exit(run([Program('waits', 'http.server', ('0', '--bind', '127.0.0.1')), Program('fails', 'fails'),"
+        " Program('watches', 'watches', needed=False)]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd=tmp_path)
-    assert done.returncode == 1
-    assert "launch: fails has ended with status 1" in done.stderr
+    assert done.returncode == 3
+    said = [line for line in done.stderr.splitlines() if line.startswith("launch: ")]
+    assert said == [
+        "launch: watches has ended with status 0; the others go on",
+        "launch: fails has ended with status 3; the others are ended",
+    ]
 
 
 def test_without_launch_the_arguments_are_listed_and_checked() -> None:

@@ -18,8 +18,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from fsai_nodes import qos
 from fsai_nodes.conversions import path_to_msg
+from fsai_nodes.scene import remembered
 from fsai_nodes.vcu_bridge import VcuBridge
-from fsai_nodes.visualization import RGB, Visualization, driven_marker, path_markers, remembered
+from fsai_nodes.visualization import RGB, Visualization, driven_marker, path_markers
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 from fsai_vcu.interface.enums import Ami, AsState

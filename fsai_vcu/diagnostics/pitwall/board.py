@@ -41,8 +41,10 @@ def _faults(names: Iterable[str]) -> list[dict[str, Any]]:
 def _missing(messages: Sequence[MessagePicture]) -> Iterator[str]:
     """What does not come as it should, in lines."""
     for one in messages:
-        if one.age_s is not None and one.freshness is not Freshness.FRESH:
-            yield f"0x{one.number} {one.name or ''} {one.freshness.value}: {age(one.age_s)} old"
+        if one.age_s is not None and one.freshness is Freshness.LOST:
+            yield f"0x{one.number} {one.name or ''} lost: {age(one.age_s)} old"
+    if late := [f"0x{one.number}" for one in messages if one.freshness is Freshness.LATE]:
+        yield f"late: {', '.join(late)}"
     if never := [f"0x{one.number}" for one in messages if one.age_s is None]:
         yield f"never received: {', '.join(never)}"
 

@@ -5,7 +5,7 @@ const RETRY_MS = 4000; // without an event a new connection is tried
 const by = (id) => document.getElementById(id);
 const number = (value, digits = 1) => (value == null ? "–" : value.toFixed(digits));
 const span = (s) => (s < 60 ? `${s.toFixed(s < 10 ? 1 : 0)} s` : `${Math.floor(s / 60)} min ${Math.floor(s % 60)} s`);
-let source, triedMs, heardMs = null, quickestMs, silentS = null, channel = "", way = [];
+let source, triedMs, heardMs = null, quickestMs, silentS = null, channel = "", story = {};
 
 function say(target, text) {
   if (target.textContent !== text) target.textContent = text;
@@ -91,9 +91,10 @@ function showState(s) {
     ...s.link.map((text) => [text, "fault"]),
     [`load ${s.load == null ? "–" : `${(100 * s.load).toFixed(0)} %`} · ${s.received} messages come`],
     [echo?.max_ms == null ? "handshake: no answers" : `handshake answered in ${number(echo.p50_ms)} ms, at most ${number(echo.max_ms)} ms`, echo?.max_ms == null ? "warning" : ""],
+    ...(s.nodes || []),
     ...s.missing.map((text) => [text, "warning"]),
   ]);
-  showWay(s.pose);
+  showTrack(s);
 }
 
 function showActuators(actuators) {
@@ -117,20 +118,40 @@ function showActuators(actuators) {
   }
 }
 
-function showStory(story) {
-  way = [];
-  for (let at = 0; at < story.way_cm.length; at += 2) way.push([story.way_cm[at] / 100, -story.way_cm[at + 1] / 100]);
+function showStory(told) {
+  story = told;
   list("events", story.events.map((one) => [`${one.at}  ${one.text}`, one.kind]));
 }
 
-function showWay([x, y, heading]) {
-  const points = [...way, [x, -y]], svg = by("way"), [line, car] = svg.children;
-  const xs = points.map((point) => point[0]), ys = points.map((point) => point[1]);
+function rows(numbers = [], width = 2) { // cm to m; SVG's y axis points down
+  const found = [];
+  for (let at = 0; at < numbers.length; at += width) found.push([numbers[at] / 100, -numbers[at + 1] / 100, numbers[at + 2]]);
+  return found;
+}
+
+function showTrack(s) {
+  const of = story.run === s.run ? story : {}, drawn = "seen_cm" in s; // do the nodes tell more?
+  const [x, y, heading] = s.pose, here = [x, -y], way = [...rows(of.way_cm), here], path = rows(s.path_cm);
+  const cones = { before: rows(drawn ? of.cones_cm : [], 3), seen: rows(s.seen_cm, 3) };
+  const all = [...way, ...path, ...cones.before, ...cones.seen], svg = by("track");
+  const xs = all.map((point) => point[0]), ys = all.map((point) => point[1]);
   const left = Math.min(...xs), top = Math.min(...ys), width = Math.max(...xs) - left, height = Math.max(...ys) - top;
   const size = Math.max(width, height, 20), [dx, dy] = [width, height].map((side) => Math.max(size / 15, (size - side) / 4));
+  const line = (name, points) => by(name).setAttribute("points", points.map((point) => `${point[0]},${point[1]}`).join(" "));
   svg.setAttribute("viewBox", `${left - dx} ${top - dy} ${width + 2 * dx} ${height + 2 * dy}`);
-  line.setAttribute("points", points.map((point) => point.join()).join(" "));
-  car.setAttribute("transform", `translate(${x} ${-y}) rotate(${(-180 * heading) / Math.PI}) scale(${size / 110})`);
+  line("way", way);
+  line("path", path.slice(0, s.borne_out));
+  line("doubted", path.slice(Math.max(0, s.borne_out - 1)));
+  line("stop", s.stop == null ? [] : [path[s.stop], path[s.stop]]); // a dot
+  for (const dots of svg.querySelectorAll("path[data-color]")) {
+    const own = cones[dots.parentNode.id].filter((cone) => cone[2] === Number(dots.dataset.color));
+    dots.setAttribute("d", own.map((cone) => `M${cone[0]} ${cone[1]}h0`).join(""));
+  }
+  by("car").setAttribute("transform", `translate(${here}) rotate(${(-180 * heading) / Math.PI}) scale(${size / 110})`);
+  document.body.classList.toggle("nodes", drawn);
+  say(by("track-name"), drawn ? "track" : "way driven");
+  say(by("track-words"), drawn ? "pale: seen before, green: path, grey: driven" : "by the wheels, last 500 m");
+  say(by("bus-name"), s.nodes ? "bus and nodes" : "bus");
 }
 
 connect();

@@ -23,7 +23,7 @@ from fsai_hil.simulator.ground_truth import DEFAULT_PORT
 from fsai_hil.simulator.tracks import NAMES as TRACKS
 from fsai_hil.vcan.native import INTERFACE, existing_vcan
 from fsai_nodes.composed import CLASSES
-from fsai_nodes.parameters import misspelt
+from fsai_nodes.parameters import misspelt, yaml_of
 from fsai_vcu.diagnostics.transmit.replaying import is_physical
 from fsai_vcu.interface.enums import Ami
 
@@ -45,6 +45,7 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "skidpad_max_speed": ("vehicle_controller",),
     "acceleration_max_speed": ("vehicle_controller",),
 }
+CLI = "fsai_vcu.cli.main"
 _STOP_TIMEOUT_S = 15.0  # time for the bridge's goodbye to the car
 
 
@@ -73,6 +74,7 @@ _OTHERS = (
     Argument("seed", "0", "Seed of everything random in the simulated car."),
     Argument("without", "", "Nodes that are not started, separated by commas: those your own stack replaces."),
     Argument("composed", "false", "All nodes but the bridge in one process.", _FLAG),
+    Argument("pitwall", "false", "Show bus and nodes live on a web page: fsai-vcu pitwall --ros.", _FLAG),
     Argument("markers", "false", "Start visualization: /markers, the car's model and frames.", _FLAG),
     Argument("rviz", "false", "Open RViz with what visualization publishes; starts that, too (ros2 launch).", _FLAG),
 )
@@ -92,12 +94,13 @@ def _of_the_nodes() -> Iterator[Argument]:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """One process: the module it is, its own words, and those for ROS."""
+    """One process: the module it is, its own words, and those for ROS. needed: with its end all end."""
 
     name: str
     module: str
     words: tuple[str, ...] = ()
     ros_words: tuple[str, ...] = ()
+    needed: bool = True
 
     @property
     def argv(self) -> list[str]:
@@ -132,7 +135,7 @@ def programs(given: Mapping[str, str]) -> list[Program]:
         if not (port.isdecimal() and 0 < int(port) < 1 << 16):
             raise ValueError(f"truth_port:={port}: not a port's number")
         words = simulated_car(texts["can_interface"], int(port), options)
-        car = [Program("simulated_car", "fsai_vcu.cli.main", tuple(words))]
+        car = [Program("simulated_car", CLI, tuple(words))]
 
     if not on["simulated"]:
         without.add("sensor_simulator")
@@ -146,7 +149,9 @@ def programs(given: Mapping[str, str]) -> list[Program]:
         words = ("--nodes", ",".join(together))
         composed = Program("composed", "fsai_nodes.composed", words, _ros_words(together, texts, file))
         started = [each for each in started if each.name not in together] + [composed]
-    return [*started, *car]
+    bus = texts["can_interface"] or bus_of(file)
+    watching = [Program("pitwall", CLI, ("pitwall", bus, "--ros"), needed=False)] if on["pitwall"] else []
+    return [*started, *watching, *car]
 
 
 def _ros_words(nodes: Sequence[str], texts: Mapping[str, str], file: str) -> tuple[str, ...]:
@@ -169,20 +174,33 @@ def default_file() -> str:
     return str(Path(share, "config", "fsai.yaml"))
 
 
+def bus_of(file: str) -> str:
+    """The bus that a parameter file gives the bridge, or its default."""
+    content = yaml_of(file)
+    try:
+        return str(content["vcu_bridge"]["ros__parameters"]["can_interface"])  # type: ignore[index]
+    except (TypeError, KeyError):
+        return INTERFACE
+
+
 def run(started: Sequence[Program]) -> int:
-    """Start them all; when one ends, or on SIGINT or SIGTERM, end the others. The exit status is that one's."""
+    """Start them all; when a needed one ends, or on SIGINT or SIGTERM, end the others. The status is that one's."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
-    processes: dict[int, tuple[str, subprocess.Popen[bytes]]] = {}
+    processes: dict[int, tuple[Program, subprocess.Popen[bytes]]] = {}
     try:
         # A Ctrl-C at the terminal is for this process, which ends the others in order.
         for program in started:
             process = subprocess.Popen(program.argv, stdin=subprocess.DEVNULL, start_new_session=True)
-            processes[process.pid] = program.name, process
-        pid, code = os.wait()
-        name, process = processes[pid]
-        process.returncode = status = os.waitstatus_to_exitcode(code)
-        print(f"launch: {name} has ended with status {status}; the others are ended", file=sys.stderr)
+            processes[process.pid] = program, process
+        needed = False
+        while not needed:
+            pid, code = os.wait()
+            program, process = processes[pid]
+            process.returncode = status = os.waitstatus_to_exitcode(code)
+            needed = program.needed
+            then = "the others are ended" if needed else "the others go on"
+            print(f"launch: {program.name} has ended with status {status}; {then}", file=sys.stderr)
     except KeyboardInterrupt:
         status = 130
     except OSError as error:

@@ -124,7 +124,7 @@ class Scattered:
                 if not colon or _is_wildcard(node):
                     unnamed.add(name)
             elif option == "--params-file":
-                of_files |= set(_for_everybody(_yaml_of(value)))
+                of_files |= set(_for_everybody(yaml_of(value)))
         return cls(frozenset(unnamed), frozenset(of_files))
 
 
@@ -132,7 +132,7 @@ def _is_wildcard(node: str) -> bool:
     return node.rpartition("/")[2] in ("*", "**")
 
 
-def _yaml_of(file: str) -> object:
+def yaml_of(file: str) -> object:
     import yaml
 
     try:

@@ -1,8 +1,7 @@
 """ROS messages for a recording, as they come over the wire: raw, whatever their type, with its definition.
 
-Used by `fsai-vcu record --ros`, which runs in a process of its own. It has a ROS context and a thread of its own here,
-and asks nobody to wait for it: subscriptions are best effort, but for what is published once and kept (transient
-local), which is only to be had reliably.
+Used by `fsai-vcu record --ros`, which runs in a process of its own. Subscriptions are best effort, but for what is
+published once and kept (transient local), which is only to be had reliably.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -18,19 +16,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
-from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from fsai_nodes.listener import Listener
 from fsai_nodes.qos import TOPICS, profile
 from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
-from fsai_vcu.runtime.transport import set_transport
 
 LOOK_AGAIN_S = 0.5  # for topics that were not there before
 DEPTH = 200
@@ -38,7 +30,7 @@ PROJECT_TOPICS = (*TOPICS, "/tf", "/tf_static")
 _RULE = "=" * 80
 
 
-class TopicRecorder:
+class TopicRecorder(Listener):
     """Receives topics from `start` to `stop`; `fetch` gives what was received, `news` what people should know."""
 
     def __init__(self, topics: Iterable[str] = PROJECT_TOPICS, namespace: str = "/") -> None:
@@ -47,25 +39,9 @@ class TopicRecorder:
         self._news: deque[str] = deque()
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
-        self._context = Context()
-        set_transport(os.environ)
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            self._node = Node(
-                "recorder",
-                context=self._context,
-                namespace=namespace,
-                enable_rosout=False,
-                start_parameter_services=False,
-            )
-        except InvalidNamespaceException as error:
-            self._context.try_shutdown()
-            raise ValueError(f"{namespace} is no ROS namespace; one is like /car1") from error
+        super().__init__("recorder", namespace)
         self._wanted = {self._node.resolve_topic_name(topic) for topic in topics}
         self._node.create_timer(LOOK_AGAIN_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
 
     @property
     def topics(self) -> list[str]:
@@ -74,24 +50,13 @@ class TopicRecorder:
 
     def start(self) -> None:
         self._look()
-        self._thread.start()
+        super().start()
 
     def fetch(self) -> list[RosMessage]:
         return [self._received.popleft() for _ in range(len(self._received))]
 
     def news(self) -> list[str]:
         return [self._news.popleft() for _ in range(len(self._news))]
-
-    def stop(self) -> None:
-        self._executor.shutdown(timeout_sec=1.0)
-        self._context.try_shutdown()
-        self._thread.join(5.0)
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return  # `stop` has ended ROS
 
     def _look(self) -> None:
         for name, types in self._node.get_topic_names_and_types():

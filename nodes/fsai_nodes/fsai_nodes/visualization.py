@@ -22,21 +22,18 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fsai_nodes.clocks import Clocks
-from fsai_nodes.conversions import BASE_FRAME, ODOM_FRAME, cones_from_msg, motion_from_state
+from fsai_nodes.conversions import BASE_FRAME, ODOM_FRAME, cones_from_msg
 from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.process import run
 from fsai_nodes.qos import TOPICS, publisher
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
-from fsai_vcu.core.planning.pose import lengths_along, to_odometry
-from fsai_vcu.core.vehicle.odometry import MotionHistory
+from fsai_nodes.scene import Scene
+from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.planning.pose import lengths_along
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 
 SETTINGS = (
     NodeParameter("rate_hz", 10.0, "How often markers are published while somebody looks, in Hz.", low=1.0, high=30.0),
 )
-SAME_CONE_M = 1.0  # two sightings nearer than that are of one cone
-MOST_CONES = 1000  # remembered
-STEP_M, MOST_STEPS = 0.5, 1000  # of the way driven
 FAST_MPS = 15.0
 SHOWN_S = 0.5  # cones and path without news disappear
 
@@ -50,77 +47,42 @@ RGB = {
 
 
 class Visualization(Node):
-    """Remembers the newest of each topic, and the cones of the run; forgets them with a new run."""
+    """Draws the scene while somebody looks."""
 
     def __init__(self, **options: object) -> None:
         super().__init__("visualization", **options)
         self._settings = Settings(self, SETTINGS, lambda _name: None)
         self._clocks = Clocks(self)
+        self._scene = scene = Scene(self._clocks)
         self._markers = publisher(self, MarkerArray, "markers")
         self._frames = publisher(self, TFMessage, "/tf_static")
         self._model = publisher(self, String, "robot_description")
-        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
-        self.create_subscription(ConeArray, "raw_cones", self._on_raw_cones, TOPICS["raw_cones"])
-        self.create_subscription(ConeArray, "detected_cones", self._on_cones, TOPICS["detected_cones"])
-        self.create_subscription(PlannerStatus, "planner_status", self._on_status, TOPICS["planner_status"])
-        self.create_subscription(Path, "path", self._on_path, TOPICS["path"])
+        self.create_subscription(VehicleState, "vehicle_state", scene.on_state, TOPICS["vehicle_state"])
+        self.create_subscription(ConeArray, "raw_cones", scene.on_raw_cones, TOPICS["raw_cones"])
+        self.create_subscription(ConeArray, "detected_cones", scene.on_cones, TOPICS["detected_cones"])
+        self.create_subscription(PlannerStatus, "planner_status", scene.on_status, TOPICS["planner_status"])
+        self.create_subscription(Path, "path", scene.on_path, TOPICS["path"])
         model = files("fsai_nodes").joinpath("fsai.urdf").read_text(encoding="utf-8")
         self._model.publish(String(data=model))
         stamp = self._clocks.stamp_of(self._clocks.now_ns())
         self._frames.publish(TFMessage(transforms=static_frames(model, stamp)))
-        self._forget(VehicleState())
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._publish)
-
-    def _forget(self, state: VehicleState) -> None:
-        self._state = state
-        self._history = MotionHistory()
-        self._raw: list[Marker] = []
-        self._seen: list[Marker] = []
-        self._planned: list[Marker] = []
-        self._status = PlannerStatus(stop_distance_m=math.nan)
-        self._remembered = np.empty((0, 3))  # x, y in the odometry frame; colour
-        self._driven: list[tuple[float, float, float]] = []  # x, y in the odometry frame; speed
-
-    def _on_state(self, message: VehicleState) -> None:
-        if message.run_id != self._state.run_id:
-            self._forget(message)
-        self._state = message
-        t_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
-        self._history.add(motion_from_state(message, t_ns))
-        here = (message.x, message.y, message.speed_mps)
-        if not self._driven or math.dist(here[:2], self._driven[-1][:2]) > STEP_M:
-            self._driven = [*self._driven[1 - MOST_STEPS :], here]
-
-    def _on_raw_cones(self, message: ConeArray) -> None:
-        cones = cones_from_msg(message, 0)
-        self._raw = [cone_marker("raw cones", message.header, cones.xy_m, cones.color, size_m=0.1)]
-
-    def _on_cones(self, message: ConeArray) -> None:
-        seen_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
-        cones = cones_from_msg(message, seen_ns)
-        self._seen = [cone_marker("cones", message.header, cones.xy_m, cones.color)]
-        there = self._history.at(seen_ns)
-        if there is not None:
-            self._remembered = remembered(self._remembered, there, cones)
-
-    def _on_status(self, message: PlannerStatus) -> None:
-        self._status = message
-
-    def _on_path(self, message: Path) -> None:
-        self._planned = path_markers(message, self._status)
 
     def _publish(self) -> None:
         if not self._markers.get_subscription_count():
             return
-        header = Header(frame_id=ODOM_FRAME)  # without a stamp: as of now, whatever now is
-        before = cone_marker("remembered cones", header, self._remembered[:, :2], self._remembered[:, 2], alpha=0.35)
-        driven = driven_marker(header, self._driven)
-        markers = [before, driven, *self._raw, *self._seen, *self._planned, *self._car()]
-        self._markers.publish(MarkerArray(markers=markers))
+        scene, header = self._scene, Header(frame_id=ODOM_FRAME)  # without a stamp: as of now, whatever now is
+        before = cone_marker("remembered cones", header, scene.remembered[:, :2], scene.remembered[:, 2], alpha=0.35)
+        driven = driven_marker(header, scene.driven)
+        raw = cones_from_msg(scene.raw, 0)
+        unsure = cone_marker("raw cones", scene.raw.header, raw.xy_m, raw.color, size_m=0.1)
+        seen = cone_marker("cones", scene.cones.header, scene.seen.xy_m, scene.seen.color)
+        planned = path_markers(scene.path, scene.status)
+        self._markers.publish(MarkerArray(markers=[before, driven, unsure, seen, *planned, *self._car()]))
 
     def _car(self) -> list[Marker]:
         """Its outline, and over it what it is doing."""
-        state, status = self._state, self._status
+        state, status = self._scene.state, self._scene.status
         header = Header(frame_id=BASE_FRAME)
         outline = _marker("car", header, Marker.LINE_STRIP, (0.06, 0.0, 0.0), (1.0, 1.0, 1.0))
         nose, half = CAR.nose_ahead_of_rear_axle_m, CAR.width_m / 2
@@ -134,13 +96,6 @@ class Visualization(Node):
 
 
 # ---------------------------------------------------------------- what is drawn
-
-
-def remembered(cones: np.ndarray, there: Motion, seen: ConeObservation) -> np.ndarray:
-    """(N, 3) x, y, colour in the odometry frame: those known, and where they have been seen anew, as seen now."""
-    new = np.column_stack([to_odometry(there, seen.xy_m), seen.color])
-    apart = np.hypot(cones[:, None, 0] - new[None, :, 0], cones[:, None, 1] - new[None, :, 1])
-    return np.vstack([cones[(apart > SAME_CONE_M).all(axis=1)], new])[-MOST_CONES:]
 
 
 def cone_marker(

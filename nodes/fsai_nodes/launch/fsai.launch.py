@@ -42,8 +42,8 @@ def start(context):
                 )
             )
         else:
-            car_ended = Shutdown(reason="the simulated car has ended")
-            actions.append(ExecuteProcess(cmd=program.argv, name=program.name, output="screen", on_exit=[car_ended]))
+            then = [Shutdown(reason="the simulated car has ended")] if program.needed else None
+            actions.append(ExecuteProcess(cmd=program.argv, name=program.name, output="screen", on_exit=then))
     return actions
 
 
