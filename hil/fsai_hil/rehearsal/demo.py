@@ -113,9 +113,11 @@ def drive(args: argparse.Namespace) -> int:
     with Stack(bus, args.out) as stack:
         kind = " (stand-in: this kernel has no vcan)" if args.bus is None and bus != INTERFACE else ""
         _say(f"bus {bus}{kind}, ROS domain {stack.domain_id}, logs in {args.out}")
-        again = "this vcan0 is the demo's own; start it with --bus loopback:demo, then " * args.own_vcan
         verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
-        _say(f"watch it: {again}{verb} pitwall {'loopback:demo' if args.own_vcan else bus}")
+        if args.own_vcan:
+            _say("watch it: this vcan0 is the demo's own; started with --bus loopback:demo, it says how")
+        else:
+            _say(f"watch it: ROS_DOMAIN_ID={stack.domain_id} {verb} pitwall {bus} --ros")
         stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
         car = {"car": args.revision}
         laps = {} if args.laps is None else {"laps": args.laps}
