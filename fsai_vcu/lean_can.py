@@ -1,7 +1,6 @@
 """python-can without its MF4 files: with asammdf installed they bring pandas in, 0.5 s and 100 MB in every process.
 
-MF4 logs are read through asammdf itself (diagnostics.log.mf4). Import `can` from here wherever it is used;
-cantools, which loads python-can, comes after it.
+MF4 logs are read through asammdf itself (diagnostics.log.mf4). Import `can` from here wherever it is used.
 """
 
 from __future__ import annotations

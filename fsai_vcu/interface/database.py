@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
 
-import fsai_vcu.lean_can  # noqa: F401  # isort: skip  before cantools, which loads python-can
+import fsai_vcu.lean_cantools  # noqa: F401  # isort: skip
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -144,3 +146,8 @@ def test_the_pcan_gps_file_reads_in_the_encoding_of_dbc_files() -> None:
     assert unit("BMC_Acceleration", "Temperature") == "°C"
     assert unit("L3GD20_Rotation_B", "Rotation_Z") == "°/s"
     assert unit("BMC_MagneticField", "MagneticField_X") == "µT"
+
+
+def test_a_database_is_loaded_without_python_can() -> None:
+    code = "import sys, fsai_vcu.interface.database; sys.exit('can' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
