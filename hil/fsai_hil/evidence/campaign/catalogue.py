@@ -67,7 +67,7 @@ class Draw:
 
     def __str__(self) -> str:
         if self.words:
-            return f"{self.name} {'/'.join(self.words)}"
+            return f"{self.name} {', '.join(self.words)}"
         return f"{self.name} {', '.join(f'{low:g}…{high:g}' for low, high in self.bands)}"
 
 
