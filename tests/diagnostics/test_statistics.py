@@ -123,7 +123,9 @@ def test_a_message_at_the_wrong_rate_is_named_with_both_periods() -> None:
 
 def test_a_frame_of_the_wrong_length_is_a_problem_with_its_count() -> None:
     spoilt = [replace(f, data=f.data[:-1], length=5) if f.can_id == 0x522 and f.t_ns < 50 * MS else f for f in NOMINAL]
-    assert only(spoilt, "wrong-length").text == "VCU2AI_Drive_R (0x522) must have 6 bytes: 5 of 5 bytes"
+    found = only(spoilt, "wrong-length")
+    assert found.text == "VCU2AI_Drive_R (0x522) must have 6 bytes: 5 of 5 bytes"
+    assert found.t_ns == next(f.t_ns for f in spoilt if f.can_id == 0x522)
 
 
 def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
@@ -175,7 +177,9 @@ def test_an_echo_that_takes_100_ms_is_a_problem_and_99_is_not() -> None:
             frames.append(LogFrame(answer_ns, "can0", 0x510, bytes([answer]) + bytes(7)))
         return sorted(frames, key=lambda f: f.t_ns)
 
-    assert "1 answered after 100 ms or more" in only(late(100 * MS), "handshake").text
+    found = only(late(100 * MS), "handshake")
+    assert "1 answered after 100 ms or more" in found.text
+    assert found.t_ns == 1010 * MS
     assert "handshake" not in {finding.kind for finding in problems(late(99 * MS))}
 
 
@@ -213,7 +217,8 @@ def test_a_log_without_times_is_counted_and_not_timed() -> None:
 
 def test_times_that_go_backwards_are_said() -> None:
     frames = [*NOMINAL[:2000], replace(NOMINAL[2000], t_ns=0), *NOMINAL[2001:]]
-    assert measured(frames).backwards == 1
+    (found,) = [finding for finding in judge(measured(frames)) if finding.kind == "clock"]
+    assert found.text.startswith("times go backwards 1 times") and found.t_ns == NOMINAL[1999].t_ns
 
 
 def test_a_simulated_drive_is_well_with_the_checkers_times() -> None:

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from story_runs import branch, driving, hand_made
+from story_runs import after, branch, driving, hand_made, off
 
 from fsai_hil.simulator.faults import Drop
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
-from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
+from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained, render
 from fsai_vcu.diagnostics.explain.signals import AS_STATE
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
 from fsai_vcu.diagnostics.statistics.measure import measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS, S
 
 
@@ -171,6 +171,34 @@ def test_a_status_that_repeats_itself_is_no_quiet_car(drive: Frames) -> None:
     assert found.t_ns is not None and abs(found.t_ns - begin_ns) <= 10 * MS
     paused = drive.only(abs(drive.t_ns - begin_ns) > S // 2)
     assert kinds(paused) == ["gap"], "a bus that is silent says nothing of the VCU"
+    whole = patched(drive, 0x520, 2**64 - 1, word, 0, 2**62)
+    assert "frozen" in kinds(whole)
+
+
+def test_a_status_that_repeats_itself_before_a_drive_is_told() -> None:
+    waiting = branch(off(), lambda run: None, 1.0)
+    begin_ns = waiting.injected_ns
+    word = int(waiting.frames.word[(waiting.frames.can_id == 0x520) & (waiting.frames.t_ns < begin_ns)][-1])
+    frozen = patched(waiting.frames, 0x520, 2**64 - 1, word, begin_ns, 3 * S)
+    assert ("frozen" in kinds(frozen), "frozen" in kinds(waiting.frames)) == (True, False)
+
+
+@pytest.mark.parametrize("seen", ["from the end of the bridge on", "with its end"])
+def test_a_vcu_alone_is_no_frozen_one(seen: str) -> None:
+    alone = branch(off(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 2.0)
+    frames = alone.frames if seen == "with its end" else after(alone.frames, alone.injected_ns + 100 * MS)
+    handshake = frames.only((frames.can_id == 0x520) & (frames.t_ns > alone.injected_ns + 100 * MS)).word & np.uint64(1)
+    assert len(handshake) > 100 and len(np.unique(handshake)) == 1, "it waits for an echo"
+    assert "frozen" not in [finding.kind for finding in judged(frames).findings]
+
+
+@pytest.mark.parametrize("toggles_s", [0.0, 1.0])
+def test_a_manual_drive_is_no_frozen_vcu(drive: Frames, toggles_s: float) -> None:
+    """The car is driven by hand (ASMS off, AS_OFF); HANDSHAKE stands at 0, and the bridge echoes it."""
+    begin_ns = int(drive.t_ns[drive.can_id == 0x520][0] + toggles_s * S)
+    by_hand = patched(drive, 0x520, 1 | 1 << 9 | 0xF << 16, 1 << 16, begin_ns, 2**62)
+    by_hand = patched(by_hand, 0x510, 1, 0, begin_ns, 2**62)
+    assert "frozen" not in [finding.kind for finding in judged(by_hand).findings]
 
 
 def test_a_pause_of_everybody_is_one_finding_of_its_moment(drive: Frames) -> None:
@@ -231,12 +259,37 @@ def test_one_frame_with_a_wrong_time_moves_no_other(drive: Frames) -> None:
     assert verdict.ok, list(verdict.lines())
 
 
-def test_two_cars_on_the_bus_are_said_in_few_lines(drive: Frames) -> None:
-    other = drive.only(drive.can_id == 0x520)
-    idle = np.full(len(other), int.from_bytes(bytes.fromhex("2016013020"), "little"), np.uint64)
-    verdict = judged(in_order(drive, replace(other, t_ns=other.t_ns + 4 * MS, word=idle)))
-    assert "somebody else sends the car's messages: 0x520" in " ".join(f.text for f in verdict.findings)
-    assert len(verdict.findings) < 10 and "more like it" in verdict.findings[1].text
+@pytest.mark.parametrize("ids", [(0x520,), VCU_IDS])
+@pytest.mark.parametrize("content", ["the same", "AS_OFF"])
+@pytest.mark.parametrize("late_s", [0.0, 8.0])
+def test_two_cars_are_one_finding_and_no_cause(
+    drive: Frames, ids: tuple[int, ...], content: str, late_s: float
+) -> None:
+    other = drive.only(np.isin(drive.can_id, ids) & (drive.t_ns >= drive.t_ns[0] + late_s * S))
+    begin_ns = int(other.t_ns[0])
+    if content == "AS_OFF":
+        idle = np.uint64(int.from_bytes(bytes.fromhex("2010013020"), "little"))
+        other = replace(other, word=np.where(other.can_id == 0x520, idle, np.uint64(0)))
+    verdict = judged(in_order(drive, replace(other, t_ns=other.t_ns + 4 * MS)))
+    (found,) = [finding for finding in verdict.findings if finding.severity == "problem"]
+    assert found.text.startswith("somebody else sends the car's messages: 0x520") and found.can_ids == ids
+    assert found.t_ns is not None and -100 * MS <= found.t_ns - begin_ns <= 10 * MS
+    assert f"200 frames a second for {(drive.t_ns[-1] - found.t_ns) / S:.1f} s" in found.text
+    assert not verdict.explanation.incidents and "two cars" in render.verdict(verdict.explanation)
+    assert any("two cars were on the bus from" in note for note in verdict.explanation.problems)
+
+
+def test_a_cause_before_the_second_car_is_told() -> None:
+    frames = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 2.0).frames
+    other = frames.only((frames.can_id == 0x520) & (frames.t_ns >= frames.t_ns[-1] - S))
+    assert kinds(in_order(frames, replace(other, t_ns=other.t_ns + 4 * MS))) == ["emergency_brake", "intruder"]
+
+
+def test_many_incidents_of_one_cause_are_one_line() -> None:
+    silent = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 1.0).frames
+    length_ns = int(silent.t_ns[-1] - silent.t_ns[0])
+    many = joined([silent.at(silent.t_ns + number * (length_ns + S)) for number in range(7)])
+    assert [f.text for f in judged(many).findings if "; 6 more like it up to " in f.text]
 
 
 def test_of_two_who_ask_no_mismatch_is_told(drive: Frames) -> None:
@@ -301,6 +354,31 @@ def test_what_the_car_does_in_passing_is_noted(drive: Frames, can_id: int, mask:
     (finding,) = (one for one in verdict.findings if words in one.text)
     assert finding.severity == "note" and verdict.ok
     assert 0 <= (finding.t_ns or 0) - (drive.t_ns[-1] - S) < 10 * MS
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_frames_out_of_order_are_no_restart(drive: Frames, steps: int) -> None:
+    word = drive.word.copy()
+    for can_id in (0x520, 0x526):
+        rows = np.flatnonzero(drive.can_id == can_id)
+        swapped = np.arange(len(rows) - len(rows) % (steps + 1)).reshape(-1, steps + 1)[:, ::-1].ravel()
+        word[rows[: len(swapped)]] = drive.word[rows[swapped]]
+    assert "restart" not in [one.kind for one in judged(replace(drive, word=word)).findings]
+
+
+def test_a_wheel_that_rolls_back_is_no_restart(drive: Frames) -> None:
+    back = patched(drive, 0x526, 0xFFFF, 15, int(drive.t_ns[-1]) - S // 2, S)
+    back = patched(back, 0x526, 0xFFFF, 16, int(drive.t_ns[0]), drive.t_ns[-1] - drive.t_ns[0] - S // 2)
+    assert "restart" not in [one.kind for one in judged(back).findings]
+
+
+def test_a_car_on_another_bus_is_not_called_ok(drive: Frames) -> None:
+    other = replace(drive, channel=np.ones_like(drive.channel), channels=["can0", "can1"])
+    first = replace(drive, channels=["can0", "can1"])
+    verdict = judged(in_order(first, other.only(other.t_ns > drive.t_ns[0] + S)))
+    assert verdict.line().startswith("UNKNOWN: 0x520 is on can1 too: only the car on can0 was judged")
+    sensors = judged(in_order(first, other.only(~np.isin(other.can_id, VCU_IDS))))
+    assert not sensors.unknown
 
 
 def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:

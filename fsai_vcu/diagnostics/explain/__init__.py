@@ -40,10 +40,18 @@ _TOO_MANY: Final = (
 
 def explained(record: Record) -> Explanation:
     """What happened in a log, and why."""
-    asked = () if record.second_senders else mismatches(record)  # of two who ask, the car can follow one
+    mixed = record.second_car
+    # Of two who ask, the car can follow one.
+    asked = () if record.second_senders or mixed else mismatches(record)
     kinds = (emergencies(record), refusals(record), early_stops(record), asked)
     found = [list(islice(kind, MOST_INCIDENTS + 1)) for kind in kinds]
-    incidents = [incident for kind in found for incident in kind[:MOST_INCIDENTS]]
+    incidents = [
+        incident
+        for kind in found
+        for incident in kind[:MOST_INCIDENTS]
+        if mixed is None or not mixed.begin_ns <= incident.t_ns <= mixed.end_ns
+    ]
+    no_state = "" if len(record.series(AS_STATE)) else "without the AS state"
     return Explanation(
         heading={
             "revision": record.revision.name,
@@ -57,7 +65,7 @@ def explained(record: Record) -> Explanation:
         incidents=tuple(_grouped(sorted(incidents, key=lambda incident: incident.t_ns), record.begin_ns)),
         closing=_closing(record),
         problems=(*_missing(record), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
-        state_known=len(record.series(AS_STATE)) > 0,
+        unknown=no_state or ("with two cars on the bus" if mixed else ""),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
 
@@ -101,6 +109,9 @@ def _missing(record: Record) -> Iterator[str]:
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
         yield f"the log begins in {first}: what led there is not in it"
+    if (mixed := record.second_car) is not None:
+        begin_s, end_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (mixed.begin_ns, mixed.end_ns))
+        yield f"two cars were on the bus from {begin_s:.3f} s to {end_s:.3f} s: no cause is told from that"
     for name, count in record.other_channels.items():
         yield f"{count} frames of another bus ({name}) are left out"
     strange = {f"0x{i:03X}": n for i, n in record.unknown_ids.items() if i not in BY_ID}

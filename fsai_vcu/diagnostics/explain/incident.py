@@ -142,7 +142,7 @@ class Explanation:
     closing: str
     problems: tuple[str, ...] = field(default=())
     recorded: frozenset[int] = frozenset()  # identifiers in the log
-    state_known: bool = True  # whether the log has the AS state, without which nothing is found
+    unknown: str = ""  # why nobody can tell what happened, where that is so
 
     @cached_property
     def events(self) -> tuple[TimelineEntry, ...]:
@@ -158,4 +158,4 @@ class Explanation:
     @property
     def clean(self) -> bool:
         """Nothing happened but what was planned."""
-        return all(incident.planned for incident in self.incidents)
+        return not self.unknown and all(incident.planned for incident in self.incidents)

@@ -111,8 +111,8 @@ def verdict(story: Explanation) -> str:
     bad = [f"{count} {kind.one if count == 1 else kind.many}" for kind, count in counts if count]
     planned = any(incident.planned for incident in story.incidents)
     rest = ["the emergency brake that the mission ends with"] if planned else []
-    if not bad and not story.state_known:
-        return "without the AS state nobody can tell whether it braked or did not start"
+    if not bad and story.unknown:
+        return f"{story.unknown} nobody can tell whether it braked or did not start"
     return ", ".join([*bad, *rest]) if bad else "; ".join(["no emergency brake, no refusal to start", *rest])
 
 

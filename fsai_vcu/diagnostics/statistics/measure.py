@@ -97,6 +97,7 @@ class MessageStatistics:
     last_s: float
     expected_length: int | None
     wrong_lengths: Mapping[int, int]
+    wrong_length_at_s: float | None  # of the first
     remote: int
     sent: int
     expected_ms: float | None
@@ -126,6 +127,7 @@ class Handshake:
     unanswered: int  # toggles whose bit did not come back for 100 ms
     response_ms: TimeSpread
     above_100_ms: int  # answers that took as long, or longer
+    missed_at_s: float | None  # the first toggle of either kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +146,7 @@ class BusStatistics:
     handshake: Handshake | None
     frozen_counts: tuple[tuple[str, float, float], ...]  # (signal, since s, for s) while its wheel turned
     backwards: int  # frames with a time before that of their predecessor
+    backwards_at_s: float | None  # the first
 
     def as_dict(self) -> dict[str, Any]:
         names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames", "handshake")
@@ -186,9 +189,12 @@ def measure(
 def _measure_channel(
     frames: Frames, channel: str, decoder: Decoder, revision: str | None, bitrate: int
 ) -> BusStatistics:
-    backwards = int((frames.t_ns[1:] < frames.t_ns[:-1] - MS).sum())  # less is two frames stamped on two processors
+    backwards, backwards_at_s = 0, None
     if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
+        back = np.flatnonzero(frames.t_ns[1:] < frames.t_ns[:-1] - MS)  # less is two frames stamped on two processors
         frames = frames.at(frames.t_ns + np.cumsum(straightened(frames.t_ns)[1]))  # the steps of a clock that was set
+        if len(back):
+            backwards, backwards_at_s = len(back), int(frames.t_ns[back[0]]) / S
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
     duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
     errors = (frames.flags & ERROR) != 0
@@ -223,6 +229,7 @@ def _measure_channel(
         handshake=handshake_of(few, decoder),
         frozen_counts=tuple(_frozen_counts(decoder.tables(few, _WHEELS))),
         backwards=backwards,
+        backwards_at_s=backwards_at_s,
     )
 
 
@@ -271,10 +278,8 @@ def _measure_message(
     remote = (flags & REMOTE) != 0
     no_pauses = ordered[: np.searchsorted(ordered, _LOST_PERIODS * typical_ns)]
     missing = math.floor(_MISSING_PERIODS * typical_ns)
-    wrong: dict[int, int] = {}
-    if layout is not None:
-        lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
-        wrong = dict(zip(lengths.tolist(), counts.tolist(), strict=True))
+    strange: Ints | list[int] = np.flatnonzero((length != layout.length) & ~remote) if layout is not None else []
+    lengths, counts = np.unique(length[strange], return_counts=True)
     longest = int(np.argmax(intervals)) if timed and len(intervals) else None
     return MessageStatistics(
         can_id=int(frames.can_id[0]),
@@ -284,7 +289,8 @@ def _measure_message(
         first_s=int(t_ns[0]) / S,
         last_s=int(t_ns[-1]) / S,
         expected_length=layout.length if layout else None,
-        wrong_lengths=wrong,
+        wrong_lengths=dict(zip(lengths.tolist(), counts.tolist(), strict=True)),
+        wrong_length_at_s=int(t_ns[strange[0]]) / S if len(strange) else None,
         remote=int(remote.sum()),
         sent=int(((flags & SENT) != 0).sum()),
         expected_ms=expected_ns / MS if expected_ns else None,
@@ -372,8 +378,10 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     waited = (first_ns - toggle_ns)[in_time]
     # Before that, or before the log's end, an echo that is not there may come, or be a frame that the recording lost.
     unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)
-    late = int((waited >= COMMS_LOST_NS).sum())
-    return Handshake(len(waited), int(unanswered.sum()), TimeSpread.of(np.sort(waited)), late)
+    late = in_time & (first_ns - toggle_ns >= COMMS_LOST_NS)
+    missed_ns = toggle_ns[unanswered | late]
+    missed_at_s = int(missed_ns[0]) / S if len(missed_ns) else None
+    return Handshake(len(waited), int(unanswered.sum()), TimeSpread.of(np.sort(waited)), int(late.sum()), missed_at_s)
 
 
 def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, float, float]]:
@@ -419,7 +427,7 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
         yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
         text = f"times go backwards {bus.backwards} times: a clock was set, logs joined, or frames not in order"
-        yield _finding(False, "clock", text)
+        yield _finding(False, "clock", text, t_s=bus.backwards_at_s)
     if bus.error_frames:
         count, kinds = sum(bus.error_frames.values()), len(bus.error_frames)
         which = (words if kinds == 1 else f"{n} {words}" for words, n in bus.error_frames.items())
@@ -451,7 +459,7 @@ def _judge_handshake(handshake: Handshake) -> Iterator[Finding]:
     if handshake.above_100_ms or handshake.unanswered:
         late = f"{handshake.above_100_ms} answered after {COMMS_LOST_NS // MS} ms or more"
         text = f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"
-        yield _finding(True, "handshake", text, 0x510)
+        yield _finding(True, "handshake", text, 0x510, handshake.missed_at_s)
     elif handshake.response_ms.p99_ms is not None and handshake.response_ms.p99_ms * MS > PERIOD_NS:
         text = f"handshake answered within {handshake.response_ms.p99_ms:.1f} ms (p99): slow"
         yield _finding(False, "handshake", text, 0x510)
@@ -464,7 +472,8 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
         yield _finding(False, "unknown", f"{name} is in no database: {message.count} frames", can_id, message.first_s)
     if message.wrong_lengths:
         which = ", ".join(f"{count} of {length} bytes" for length, count in message.wrong_lengths.items())
-        yield _finding(True, "wrong-length", f"{name} must have {message.expected_length} bytes: {which}", can_id)
+        text = f"{name} must have {message.expected_length} bytes: {which}"
+        yield _finding(True, "wrong-length", text, can_id, message.wrong_length_at_s)
     if not message.extended and message.remote and can_id in AI_IDS:
         yield _finding(True, "intruder", f"{name}: {message.remote} remote frames", can_id)
     if not message.extended and message.sent and can_id in RESERVED_IDS:

@@ -1,4 +1,5 @@
-"""Does a second sender use one of the AI computer's ids? Known by how many frames come and by what they say.
+"""Does a second sender use one of the AI computer's ids, or of the VCU's? Known by how many frames come and by what
+they say.
 
 Spacing alone proves nothing: a USB adapter hands frames over in batches, and a program that was held up sends two at
 once. What proves it: the log's own marks of direction, more frames in a second than one sender's period allows, or a
@@ -8,6 +9,7 @@ frame between two others which says something else than both.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,7 +20,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import raw_of
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, Ints, Mask
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS, S
 
@@ -42,7 +44,7 @@ TOGETHER_NS: Final = 500 * MS
 
 @dataclass(frozen=True, slots=True)
 class SecondSender:
-    """Frames on the AI computer's ids which one sender cannot all have sent."""
+    """Frames on the AI computer's ids, or on the VCU's, which one sender cannot all have sent."""
 
     can_ids: tuple[int, ...]
     begin_ns: int
@@ -59,7 +61,8 @@ class SecondSender:
 
     @property
     def sentence(self) -> str:
-        return f"somebody else sends on the AI computer's ids: {self.words}"
+        whose = "the car's messages" if self.can_ids[0] in VCU_IDS else "on the AI computer's ids"
+        return f"somebody else sends {whose}: {self.words}"
 
 
 def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
@@ -78,6 +81,22 @@ def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
             payloads=last.payloads or one.payloads,
         )
     return joined
+
+
+def second_car(times: Mapping[int, Ints]) -> SecondSender | None:
+    """From the first to the last time that more of the VCU's messages come than one VCU sends; `times` of each."""
+    begins_ns, ends_ns, rates = {}, [], []
+    for can_id, t_ns in times.items():
+        many = _too_many(t_ns, SHORT_NS, SHORT_EXCESS, PERIOD_NS, LONG_EXCESS) if len(t_ns) > 1 else np.zeros(0, bool)
+        if many.any() and t_ns[-1] > t_ns[0]:
+            begins_ns[can_id] = int(t_ns[many][0])
+            ends_ns.append(int(t_ns[many][-1]))
+            rates.append(_rate(t_ns, many))
+    if not begins_ns:
+        return None
+    begin_ns, end_ns = min(begins_ns.values()), max(ends_ns)
+    proof = f"{max(rates):.0f} frames a second for {(end_ns - begin_ns) / S:.1f} s, and one car sends {S // PERIOD_NS}"
+    return SecondSender(tuple(sorted(begins_ns)), begin_ns, end_ns, proof)
 
 
 def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[SecondSender]:
@@ -104,7 +123,7 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
             many &= _around(t_ns) >= (1.0 + SLOW_EXCESS) / 2 * LONG_NS / period_ns
     if not many.any():
         return []
-    proof = f"{np.percentile(_around(t_ns)[many], 75):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
+    proof = f"{_rate(t_ns, many):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
     return _stretches(frames, rows, many, proof)
 
 
@@ -117,6 +136,11 @@ def _around(t_ns: Ints) -> Ints:
     """How many frames there are in the second around the short window that begins with each."""
     middle = t_ns + SHORT_NS // 2
     return np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
+
+
+def _rate(t_ns: Ints, many: Mask) -> float:
+    """Frames a second where there are too many; at the edges of such a stretch there are fewer."""
+    return float(np.percentile(_around(t_ns)[many], 75))
 
 
 def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, around: float = 0.0) -> Mask:

@@ -25,6 +25,7 @@ from fsai_vcu.diagnostics.explain.record import Record, ms
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
     AS_STATE,
+    AS_SWITCH,
     CAR_TORQUE_MAX,
     DRIVING,
     EMERGENCY,
@@ -43,10 +44,11 @@ from fsai_vcu.interface.units import MS, S
 
 OFF: Final = float(AsState.AS_OFF)
 NEARLY_FULL: Final = 65_000  # a counter of 16 bits goes on at 0
+FEW_PULSES: Final = 10
+OUT_OF_ORDER_NS: Final = 2 * PERIOD_NS
 MANY: Final = 3
 LOSSY: Final = 5  # messages that miss frames again and again
 LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
-TWICE: Final = 1.5
 UNREAD: Final = "not everything could be read"
 NO_ECHO: Final = frozenset({"ai_silent", "bus_lost", "handshake_lost", "vcu_hung"})  # in which a handshake is lost too
 SHORT_NS: Final = 1 * S
@@ -157,6 +159,12 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
         where = (one.begin_ns, remedy, one.can_ids, record.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
+    mixed = record.second_car
+    if mixed is not None:
+        remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
+        where = (mixed.begin_ns, remedy, mixed.can_ids, record.channel)
+        findings.append(Finding("problem", "intruder", mixed.sentence, *where))
+        shared |= set(VCU_IDS)
     absent = set() if record.ai_speaks else set(AI_IDS)
     if not record.has(STATUS):
         absent |= {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
@@ -167,6 +175,8 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
 
     def told(bus: BusStatistics, finding: Finding) -> bool:
         if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
+            if mixed is not None and bus.channel == record.channel:
+                return True
             return bus.handshake.unanswered + bus.handshake.above_100_ms <= echoes
         begun_ns = finding.t_ns or 0
         return finding.kind == "gap" and any(
@@ -176,9 +186,6 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
     for bus in buses:
         stopped = list(_stopped(record, bus))
         findings += stopped
-        if others := _second_car(bus):
-            findings.append(others)
-            shared |= set(others.can_ids)
         gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
             finding
@@ -189,9 +196,10 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
-    findings += [*_in_passing(record), *_repeating(record, [incident.t_ns for incident in explanation.incidents])]
+    if mixed is None:
+        findings += [*_in_passing(record), *_repeating(record, [incident.t_ns for incident in explanation.incidents])]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
-    return Verdict(record.begin_ns, explanation, tuple(findings), tuple(_unknown(record)))
+    return Verdict(record.begin_ns, explanation, tuple(findings), (*_unknown(record), *_not_judged(record, buses)))
 
 
 def _in_passing(record: Record) -> Iterator[Finding]:
@@ -208,9 +216,13 @@ def _in_passing(record: Record) -> Iterator[Finding]:
     off = np.array([gap.end_ns or 0 for gap in record.gaps(STATUS, REBOOT_NS)])  # switched off: it has to start anew
     for signal in (AS_STATE, *PULSES):
         t_ns, values = record.series(signal).t_ns, record.series(signal).values
-        back = np.diff(values) < 0
-        back &= (values[:-1] == OFF) if signal == AS_STATE else (values[:-1] < NEARLY_FULL)
-        rows = np.flatnonzero(back) + 1
+        # Frames out of order are made up for at once, and a wheel that rolls back does not begin near 0.
+        if signal == AS_STATE:
+            was, low = values == OFF, values - 1
+        else:
+            was, low = values < NEARLY_FULL, np.minimum(values / 2, values - FEW_PULSES)
+        rows = np.flatnonzero(was[:-1] & (values[1:] <= low[:-1])) + 1
+        rows = rows[record.series(signal).sampled(t_ns[rows] + OUT_OF_ORDER_NS) <= low[rows - 1]]
         rows = rows[~(np.abs(t_ns[rows, None] - off) < REBOOT_NS).any(axis=1)]
         if len(rows):
             before, after = (label(signal, float(value)) for value in values[rows[0] - 1 : rows[0] + 1])
@@ -225,14 +237,17 @@ def _in_passing(record: Record) -> Iterator[Finding]:
 
 def _repeating(record: Record, told_ns: list[int]) -> Iterator[Finding]:
     """0x520 that comes, and whose HANDSHAKE stands though it was echoed: it does not say how the car is. The first, and
-    how many; neither after a drive, nor what an incident at `told_ns` has for its cause."""
+    how many; neither after a drive, nor what an incident at `told_ns` has for its cause. Where the car does not drive
+    itself (ASMS off), or has not toggled yet, a VCU may let HANDSHAKE stand."""
     toggle_ns, _, waited_ns, echoed = record.answers
     times, told = record.times(STATUS), np.array(told_ns, np.int64)
     ends_ns = np.append(toggle_ns[1:], times[-1:])[: len(toggle_ns)]
     stood_ns = ends_ns - toggle_ns - waited_ns
     came = np.searchsorted(times, ends_ns) - np.searchsorted(times, toggle_ns)
-    over = np.isin(record.series(AS_STATE).sampled(toggle_ns), (EMERGENCY, FINISHED))
-    rows = np.flatnonzero(echoed & ~over & (np.minimum(stood_ns, came * PERIOD_NS) >= COMMS_LOST_NS))
+    states, asms = (record.series(signal).sampled(ends_ns - 1) for signal in (AS_STATE, AS_SWITCH))
+    due = (asms != 0) & (np.arange(len(states)) > 0) & ~np.isin(states, (EMERGENCY, FINISHED))
+    due |= np.isin(states, (READY, DRIVING))
+    rows = np.flatnonzero(echoed & due & (np.minimum(stood_ns, came * PERIOD_NS) >= COMMS_LOST_NS))
     found = [row for row in rows if not ((told >= toggle_ns[row]) & (told <= ends_ns[row] + AT_ONCE_NS)).any()]
     for row in found[:1]:
         begin_ns = int(toggle_ns[row])
@@ -252,22 +267,6 @@ def _of_incident(incident: Incident) -> Finding:
         first.cause.remedy,
         tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),
     )
-
-
-def _second_car(bus: BusStatistics) -> Finding | None:
-    """The car's messages that come far more often than one car sends them."""
-    mine = [message for message in bus.messages if message.can_id in VCU_IDS and not message.extended]
-    mine = [message for message in mine if (message.last_s - message.first_s) * S >= SHORT_NS]  # else it shows nothing
-    rates = {m.can_id: (m.expected_ms or 0.0) / m.mean_ms for m in mine if m.mean_ms}
-    twice = {can_id: rate for can_id, rate in rates.items() if rate > TWICE}
-    if not twice:
-        return None
-    names = ", ".join(f"0x{can_id:03X}" for can_id in sorted(twice))
-    text = (
-        f"somebody else sends the car's messages: {names} come {max(twice.values()):.1f} times as often as they should"
-    )
-    remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
-    return Finding("problem", "intruder", text, None, remedy, tuple(sorted(twice)), bus.channel)
 
 
 def _losing(bus: BusStatistics) -> Finding | None:
@@ -357,6 +356,14 @@ def _whose(ids: tuple[int, ...], messages: int) -> str:
     if len(ids) > messages // 2:
         return f"{len(ids)} of {messages} messages"
     return f"{len(ids)} messages ({', '.join(f'0x{can_id:03X}' for can_id in ids)})"
+
+
+def _not_judged(record: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
+    """A second car, on another bus: its periods are judged, and nothing of what it did."""
+    cars = [bus.channel for bus in buses if any(m.can_id == STATUS and not m.extended for m in bus.messages)]
+    others = ", ".join(channel for channel in cars if channel != record.channel)
+    if others:
+        yield f"0x520 is on {others} too: only the car on {record.channel} was judged; judge each bus by itself"
 
 
 def _unknown(record: Record) -> Iterator[str]:
