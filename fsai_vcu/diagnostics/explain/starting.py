@@ -29,7 +29,7 @@ from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_STEER_DEG, READY_WAIT_NS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_STEER_DEG, READY_WAIT_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
@@ -209,6 +209,9 @@ def _never_ready(record: Record) -> Iterator[Incident]:
             continue
         if after_run and not any(s.value for s in record.changes(sig.AS_SWITCH, begin_ns, end_ns)):
             continue  # the run is over, and the switches go off
+        asms, wheel = (each.between(begin_ns, end_ns) for each in (record.series(sig.AS_SWITCH), record.fastest_wheel))
+        if not asms.values.any() and (wheel.values >= STANDING_RPM).any():
+            continue  # driven by hand
         at_ns = _last_both_on(record, begin_ns, end_ns)
         met = ChainLink(at_ns, "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there", sig.STATUS)
         candidates = unmet(TO_READY, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
