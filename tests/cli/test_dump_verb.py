@@ -11,7 +11,11 @@ import pytest
 from talking_bus import talking
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, SteeringStatus, TsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import FAULT_NAMES, Faults, VcuStatus
+from fsai_vcu.interface.revisions import revision
 
 LOG = """\
 (1436509053.850870) can0 523#640064006400
@@ -141,11 +145,32 @@ def test_in_short_lines_0x520_fits_150_columns(tmp_path: Path, capsys: pytest.Ca
     assert main(["dump", "--short", str(path)]) == 0
     status, nothing = capsys.readouterr().out.splitlines()
     assert status.split("  ")[-1].split("00 00 00 ")[1] == (
-        "Status HANDSHAKE OP_AUTO AS_SWITCH TS_SWITCH GO STEERING ACTIVE AS_DRIVING AUTOCROSS TS_RUNNING EBS_ARMED"
+        "HS OP_AUTO ASMS TSMS GO STEERING AS_DRIVING AUTOX TS_RUNNING EBS_ARMED"
     )
-    assert len(status) <= 150
-    assert nothing.endswith("00 Status")
+    assert nothing.endswith(" 00")
     assert main(["dump", "--short", "--json", str(path)]) == 2
+
+
+@pytest.mark.parametrize("ami", Ami)
+def test_0x520_of_every_state_and_fault_fits_150_columns(
+    tmp_path: Path, ami: Ami, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the simulated car sends it: with everything up, and in an emergency with each fault and what goes with it."""
+    on = {"handshake": True, "as_switch": True, "ts_switch": True, "go_signal": True, "ami": ami}
+    up = {"op_state": OpState.OP_AUTO, "ts_state": TsState.TS_PRECHARGE, "ebs_state": EbsState.EBS_CHARGING}
+    low = {"warning": True, "warn_batt_temp_high": True, "warn_batt_soc_low": True}
+    steering = {"steering_status": SteeringStatus.ACTIVE}
+    sent = [VcuStatus(**on, **up, **low, **steering, as_state=state) for state in AsState]  # type: ignore[arg-type]
+    down = {"op_state": OpState.OP_FAULT, "ts_state": TsState.TS_FAULT, "ebs_state": EbsState.EBS_TRIGGERED}
+    for cause, fault in enumerate(FAULT_NAMES, start=1):
+        broken = {"as_state": AsState.EMERGENCY_BRAKE, "fault": True, "faults": Faults(**{fault: True})}
+        hot = low if fault == "bms" else {}
+        sent.append(VcuStatus(**on, **down, **broken, **hot, shutdown_cause=ShutdownCause(cause)))  # type: ignore[arg-type]
+    frames = [Codec(revision("2026")).encode(each) for each in sent]
+    (tmp_path / "run.log").write_text("".join(f"(1.0) vcan0 520#{frame.data.hex()}\n" for frame in frames))
+    assert main(["dump", "--short", "--revision", "2026", str(tmp_path / "run.log")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(sent) and max(map(len, lines)) <= 150, max(lines, key=len)
 
 
 def test_times_with_the_date_are_local_and_read_back(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,8 +31,9 @@ class MessageText:
         self.before: list[str] = []
         if short:
             name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # who sends to whom is seen from the identifier
-            self.before = [f" {name}", *[""] * (len(layout.signals) - 1)][: len(layout.signals)]
-            self.end = "\n" if layout.signals else f" {name}\n"
+            said = f" {name}" if name != "Status" else ""  # as 0x510 and 0x520 are called, which are known by sight
+            self.before = [said, *[""] * (len(layout.signals) - 1)][: len(layout.signals)]
+            self.end = "\n" if layout.signals else f"{said}\n"
             return
         between = f',"message":{json.dumps(layout.name)},"signals":{{' if as_json else f" :: {layout.name}("
         for signal, text in zip(layout.signals, self.signals, strict=True):
@@ -99,6 +100,34 @@ class SignalText:
         return texts_of(self.texts(raw.tolist(), values.tolist()))
 
 
+# Names and words in short lines: 0x520 with a fault is to fit beside its frame.
+_SHORTER: Final = tuple(
+    (re.compile(long), short)
+    for long, short in (
+        ("SHUTDOWN_CAUSE (.*?)(_FAULT|_REQUEST)?$", r"CAUSE \1"),
+        ("SHUTDOWN_REQUEST", "SHUTDOWN"),
+        ("TS_SHUTDOWN", "TS_SHUT"),
+        ("EBS_TRIGGERED", "EBS_TRIG"),
+        ("HANDSHAKE", "HS"),
+        ("([AT]S)_SWITCH", r"\1MS"),
+        ("STEERING ACTIVE", "STEERING"),
+        ("EMERGENCY_BRAKE", "EBRAKE"),
+        ("ACCELERATION$", "ACCEL"),
+        ("AUTOCROSS", "AUTOX"),
+        ("TRACK DRIVE", "TRACK"),
+        ("STATIC INSPECTION ", "INSP_"),
+        ("AUTONOMOUS[ _]", ""),
+        ("WARNING", "WARN"),
+        ("WARN_BATT_TEMP_HIGH", "BATT_HOT"),
+        ("WARN_BATT_SOC_LOW", "SOC_LOW"),
+        ("CHARGE_PROCEDURE", "CHARGING"),
+        ("OFFBOARD_CHARGER", "CHARGER"),
+        ("PLAUSIBILITY", "PLAUS"),
+        ("MISSION_STATUS", "MISSION"),
+    )
+)
+
+
 class ShortText(SignalText):
     """The signal with its name; nothing where it is 0."""
 
@@ -114,7 +143,13 @@ class ShortText(SignalText):
 
     def texts(self, raws: Sequence[float], values: Sequence[float]) -> Sequence[str]:
         texts = super().texts(raws, values)
-        return [self._text(raw, text) if raw else "" for raw, text in zip(raws, texts, strict=True)]
+        return [self._shorter(self._text(raw, text)) if raw else "" for raw, text in zip(raws, texts, strict=True)]
+
+    @staticmethod
+    def _shorter(text: str) -> str:
+        for long, short in _SHORTER:
+            text = long.sub(short, text)
+        return text
 
     def _text(self, raw: float, text: str) -> str:
         if raw in self._words:
