@@ -1,4 +1,4 @@
-"""`fsai-vcu compare`: what differs between two logs: messages and their periods, the values of signals, incidents."""
+"""`fsai-vcu compare`: what differs between two logs: messages and their periods, values of signals, the verdicts."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from collections.abc import Iterator
 from typing import Final
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, part_of, record_in
-from fsai_vcu.diagnostics.explain import explained
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import Signal
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, measure
+from fsai_vcu.diagnostics.verdict import Verdict, judge_log
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
 Prints what the second log has otherwise: messages missing or new, mean periods
 more than 10 % apart, signals whose range or mean differs by more than 10 % of
-their range, and each log's incidents. Exit status: 0 nothing differs, 1
+their range, and each log's problems, as check tells them. Exit status: 0 nothing differs, 1
 something does, or something could not be read, 2 wrong use. --from and --to are
-of each log's own time; of chosen messages or signals no incidents are told."""
+of each log's own time; of chosen messages or signals no problems are told."""
 SHARE: Final = 0.1
+TOLD: Final = ("missing", "period")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     decoding = Decoding("compare", args)
     patterns = decoding.patterns(args.signals)
-    records, buses, incidents, status = [], [], [], 0
+    records, buses, verdicts, status = [], [], [], 0
     for name in args.logs:
         sources = Sources("compare", [name], part=part_of(args, decoding))
         if sources.live:
@@ -48,15 +49,29 @@ def run(args: argparse.Namespace) -> int:
             status = 1
         records.append(record)
         buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
-        incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in explained(record).incidents])
+        verdicts.append(judge_log(record, buses[-1:]))
     lines = [*([] if patterns else _messages(*buses)), *_signals(records[0], records[1], patterns or ["*"])]
     if records[0].revision.name != records[1].revision.name:
         lines.append(f"interface revision: {records[0].revision.name}, then {records[1].revision.name}")
-    if incidents[0] != incidents[1] and not (patterns or args.messages):  # some messages alone have no story
-        for name, here, there in zip(args.logs, incidents, reversed(incidents), strict=True):
-            lines += [f"only in {name}: {words}" for words in (Counter(here) - Counter(there)).elements()]
+    if not (patterns or args.messages):  # some messages alone have no story
+        for name, here, there in zip(args.logs, verdicts, reversed(verdicts), strict=True):
+            lines += [f"only in {name}: {line}" for line in _problems(here, there)]
     print("\n".join(lines) if lines else "nothing differs")
     return 1 if lines else status
+
+
+def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
+    """What is unknown or a problem in a log and not in the other, without what the lines on messages tell."""
+    yield from (f"unknown: {why}" for why in here.unknown if why not in there.unknown)
+
+    def kind_of(finding: Finding) -> tuple[object, ...]:
+        return finding.severity, finding.kind, finding.can_ids, finding.remedy  # and not its figures
+
+    known = Counter(map(kind_of, there.findings))
+    for finding in here.findings:
+        known[kind_of(finding)] -= 1
+        if finding.severity == "problem" and finding.kind not in TOLD and known[kind_of(finding)] < 0:
+            yield f"{here.moment(finding)}{finding.text}"
 
 
 def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:

@@ -61,6 +61,15 @@ def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.Captu
     ]
 
 
+def test_problems_of_one_log_alone_are_check_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = log(tmp_path / "a.log"), log(tmp_path / "b.log")
+    lines = second.read_text().splitlines()
+    second.write_text("\n".join([*lines[:50], lines[50][:-2], *lines[51:]]) + "\n")
+    assert main(["compare", str(first), str(second)]) == 1
+    words = "VCU2AI_Steer (0x523) must have 6 bytes: 1 of 5 bytes"
+    assert capsys.readouterr().out == f"only in {second}: at 0.500 s: {words}\n"
+
+
 def test_values_that_no_database_names_are_not_called_equal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second, foreign = log(tmp_path / "a.log"), log(tmp_path / "b.log"), tmp_path / "foreign.dbc"
     foreign.write_text('VERSION ""\n\nBU_: A\n\nBO_ 291 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "rpm" A\n')
@@ -70,8 +79,8 @@ def test_values_that_no_database_names_are_not_called_equal(tmp_path: Path, caps
 
 def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = log(tmp_path / "a.log"), log(tmp_path / "b.log", angle=80)
-    with second.open("a") as file:
-        file.write("".join(f"({3 + ms / 1000:.6f}) can0 513#0500\n" for ms in range(0, 500, 10)))
+    added = [f"({2.6 + ms / 1000:.6f}) can0 513#0500" for ms in range(0, 400, 10)]
+    second.write_text("\n".join(sorted([*second.read_text().splitlines(), *added])) + "\n")
     argv = ["compare", str(first), str(second)]
     angle = "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg"
     new = "0x513 AI2VCU_Steer: only in the second log"
