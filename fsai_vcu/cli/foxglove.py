@@ -18,14 +18,17 @@ from fsai_vcu.interface.errors import UserError, WrongUse
 EXAMPLE = "fsai-vcu foxglove can0\n  fsai-vcu foxglove --layout > fsai.json"
 ABOUT = """\
 Each message is a topic /can/NAME with its signals; /can/state has the words of
-AS state, mission and shutdown cause. In Foxglove: open connection, Foxglove
+AS state, mission and shutdown cause, /can/bridge what the bridge tells the VCU
+of itself. In Foxglove: open connection, Foxglove
 WebSocket, ws://localhost:8765, then import the layout that --layout prints. A
 log is played once, as fast as it was recorded. It never sends to the bus. Needs
 the extra foxglove (pip install 'fsai-vcu[foxglove]')."""
 PORT: Final = 8765
 PIECE_NS: Final = 50_000_000  # of a log, handed over at once
-STATE: Final = "VCU2AI_Status"
-WORDS: Final = ("AS_STATE", "AMI_STATE", "SHUTDOWN_CAUSE", "GO_SIGNAL")
+WORDS: Final = {
+    "VCU2AI_Status": ("/can/state", ("AS_STATE", "AMI_STATE", "SHUTDOWN_CAUSE", "GO_SIGNAL")),
+    "AI2VCU_Status": ("/can/bridge", ("MISSION_STATUS", "DIRECTION_REQUEST", "ESTOP_REQUEST")),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,13 +55,14 @@ def run(args: argparse.Namespace) -> int:
     if not first:
         return sources.status
     chunks = chain(first, source)
+    topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
+    topics.make(first[0], decoding)  # one that is new while a client connects may stay unknown to the server
     try:
         server = foxglove.start_server(name=f"fsai-vcu {sources.name}", host=args.host, port=args.port)
     except (OSError, RuntimeError) as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error}") from error
     how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
     print(f"ws://{args.host}:{server.port} shows {sources.name}, {how_long}", flush=True)
-    topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
     ended: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
     try:
@@ -103,17 +107,25 @@ class Topics:
         self._channel = channel
         self._channels: dict[str, Any] = {}
 
+    def make(self, frames: Frames, decoding: Decoding) -> None:
+        """The topics of these frames, with nothing in them yet."""
+        for name in decoding.decoder.tables(frames) if len(frames) else ():
+            for topic in (f"/can/{name}", *([WORDS[name][0]] if name in WORDS else [])):
+                self._topic(topic)
+
     def show(self, frames: Frames, decoding: Decoding) -> None:
         for table in decoding.decoder.tables(frames).values() if len(frames) else ():
             name = table.layout.name
             columns = {series.name: _finite(series.values.tolist()) for series in table.series.values()}
             for row, t_ns in enumerate(table.t_ns.tolist()):
-                self._log(f"/can/{name}", {signal: values[row] for signal, values in columns.items()}, t_ns)
-            if name == STATE and len(table.t_ns):
-                state = {word: table.series[word].label(len(table.t_ns) - 1) for word in WORDS if word in table.series}
-                self._log("/can/state", state, int(table.t_ns[-1]))
+                self._topic(f"/can/{name}").log({each: values[row] for each, values in columns.items()}, log_time=t_ns)
+            if name in WORDS and len(table.t_ns):
+                topic, signals = WORDS[name]
+                last = len(table.t_ns) - 1
+                words = {signal: table.series[signal].label(last) for signal in signals if signal in table.series}
+                self._topic(topic).log(words, log_time=int(table.t_ns[-1]))
 
-    def _log(self, topic: str, values: dict[str, Any], t_ns: int) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._channel(topic)
-        self._channels[topic].log(values, log_time=t_ns)
+    def _topic(self, name: str) -> Any:
+        if name not in self._channels:
+            self._channels[name] = self._channel(name)
+        return self._channels[name]

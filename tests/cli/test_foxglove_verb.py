@@ -5,51 +5,64 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
-from base64 import b64encode
+from contextlib import nullcontext
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
+from talking_bus import talking
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.revisions import REVISIONS
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: pip install 'fsai-vcu[foxglove]'")
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    """Two minutes of 0x513, played as fast as they were recorded."""
+SENT = (
+    Frame(0x510, bytes.fromhex("0060000000000000")),
+    Frame(0x513, bytes.fromhex("3200")),
+    Frame(0x520, bytes.fromhex("211E133020000000")),
+)
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> None:
+    """Of half a minute of a log, played as fast as they were recorded, and of a bus."""
+    websocket = pytest.importorskip("websocket", reason="no websocket client")
     path = tmp_path / "run.log"
-    path.write_text("".join(f"({1000 + n / 100:.6f}) can0 513#3200\n" for n in range(12_000)))
-    return path
-
-
-def test_a_client_receives_each_message_as_a_topic(log: Path) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "fsai_vcu.cli.main", "foxglove", str(log), "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+    lines = (f"({1000 + n / 100:.6f}) can0 {f.can_id:X}#{f.data.hex()}\n" for n in range(3_000) for f in SENT)
+    path.write_text("".join(lines))
+    source = f"loopback:foxglove-{os.getpid()}" if live else str(path)
+    command = [sys.executable, "-m", "fsai_vcu.cli.main", "foxglove", source, "--port", "0"]
+    with talking(source, *SENT) if live else nullcontext(), subprocess.Popen(command, stdout=PIPE, text=True) as server:
         try:
             assert server.stdout is not None
-            assert f"ws://127.0.0.1:{port}" in server.stdout.readline()
-            with socket.create_connection(("127.0.0.1", port), timeout=30) as client:
-                key = b64encode(os.urandom(16)).decode()
-                client.sendall(
-                    f"GET / HTTP/1.1\r\nHost: here\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                    f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
-                    f"Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
-                )
-                received = b""
-                while b"/can/AI2VCU_Steer" not in received:
-                    part = client.recv(65536)
-                    assert part, received
-                    received += part
+            where = server.stdout.readline().split()[0]
+            assert where.startswith("ws://127.0.0.1:")
+            client = websocket.create_connection(where, timeout=30, subprotocols=["foxglove.sdk.v1"])
+            topics: dict[int, str] = {}
+            said: dict[str, dict[str, object]] = {}
+            while len(said) < 5:
+                message = client.recv()
+                if isinstance(message, bytes):  # a byte for its kind, the subscription, the time, the message
+                    said[topics[int.from_bytes(message[1:5], "little")]] = json.loads(message[13:])
+                    continue
+                for channel in json.loads(message).get("channels", []):
+                    topics[channel["id"]] = channel["topic"]
+                    wanted = {"id": channel["id"], "channelId": channel["id"]}
+                    client.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
+            client.close()
         finally:
             server.send_signal(signal.SIGINT)
         assert server.wait(30) == 0
+    assert said["/can/AI2VCU_Steer"] == {"STEER_REQUEST": 5.0}
+    assert said["/can/VCU2AI_Status"]["AS_STATE"] == 3
+    assert said["/can/state"]["AS_STATE"] == "AS_DRIVING" and said["/can/state"]["AMI_STATE"] == "ACCELERATION"
+    assert said["/can/bridge"]["MISSION_STATUS"] == "RUNNING" and said["/can/bridge"]["DIRECTION_REQUEST"] == "FORWARD"
 
 
 @pytest.mark.parametrize(("text", "words"), [(None, "No such file or directory"), ("", "no frames in it")])
@@ -64,6 +77,12 @@ def test_a_log_without_frames_is_one_line_and_no_server(
     assert (said.out, said.err) == ("", f"fsai-vcu foxglove: {log}: {words}\n")
 
 
-def test_the_layout_names_topics_of_the_car(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_each_plot_of_the_layout_has_curves(revision: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["foxglove", "--layout"]) == 0
-    assert "/can/VCU2AI_Steer.ANGLE" in json.dumps(json.loads(capsys.readouterr().out))
+    panels = json.loads(capsys.readouterr().out)["configById"].values()
+    layouts = load_databases((), revision).layouts.values()
+    known = {f"/can/{layout.name}.{signal.name}" for layout in layouts for signal in layout.signals}
+    for panel in panels:
+        curves = [path["value"] for path in panel.get("paths", [])]
+        assert not curves or len(known.intersection(curves)) >= 2, panel["title"]
