@@ -38,7 +38,7 @@ OWN_VERBS: Verbs = {
     "explain": (".explain", "explain a recorded run: what happened, why it braked, or why it did not start"),
     "report": (".report", "turn a recorded run into one page: plots, explanation and figures"),
     "plot": (".plot", "draw any signals of a log over time, as a picture"),
-    "compare": (".compare", "say what differs between two logs: periods, values, incidents"),
+    "compare": (".compare", "say what differs between two logs: periods, values, problems"),
     "dbc": (".dbc", "show what a signal database says, and how two of them differ"),
     "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge"),
     "record": (".record", "record a bus, safe on the disk within a second; also as MCAP"),

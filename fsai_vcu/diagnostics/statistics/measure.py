@@ -152,7 +152,8 @@ class BusStatistics:
         names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames", "handshake")
         found = as_json({name: getattr(self, name) for name in names}, 6)
         missing = [layout.name for layout in self.missing]
-        return {"type": "bus", **found, "missing": missing, "backwards": self.backwards}
+        back = {"backwards": self.backwards, "backwards_at_s": as_json(self.backwards_at_s, 6)}
+        return {"type": "bus", **found, "missing": missing, **back}
 
 
 @dataclass(frozen=True, slots=True)
