@@ -41,7 +41,7 @@ def test_what_is_wrong_is_named_with_status_1(well: Path, capsys: pytest.Capture
     well.write_text("".join(lines[:30] + lines[50:]).replace("#001D", "#00"))
     assert run("check", well) == 1
     said = capsys.readouterr().out.splitlines()
-    assert "problem: Ours (0x123) must have 2 bytes: 1 of 1 bytes" in said
+    assert "problem: at 0.290 s: Ours (0x123) must have 2 bytes: 1 of 1 bytes" in said
     assert "problem: at 0.290 s: Ours (0x123) was silent for 210.0 ms: 100 ms count as lost" in said
     assert said[-1] == "verdict: NOT OK: 2 problems"
     assert not any(line.startswith("123 ") for line in said)
