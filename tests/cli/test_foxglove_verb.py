@@ -32,7 +32,7 @@ SENT = (
 @pytest.mark.parametrize("live", [False, True])
 def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> None:
     """Of half a minute of a log, played as fast as they were recorded, and of a bus."""
-    websocket = pytest.importorskip("websocket", reason="no websocket client")
+    websocket = pytest.importorskip("websocket", reason="websocket-client is not installed: it comes with selenium")
     path = tmp_path / "run.log"
     lines = (f"({1000 + n / 100:.6f}) can0 {f.can_id:X}#{f.data.hex()}\n" for n in range(3_000) for f in SENT)
     path.write_text("".join(lines))
