@@ -19,9 +19,10 @@ EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
 Prints what the second log has otherwise: messages missing or new, mean periods
 more than 10 % apart, signals whose range or mean differs by more than 10 % of
-their range, and each log's problems, as check tells them. Exit status: 0 nothing differs, 1
-something does, or something could not be read, 2 wrong use. --from and --to are
-of each log's own time; of chosen messages or signals no problems are told."""
+their range, and each log's problems, as check tells them. Exit status: 0
+nothing differs, 1 something does, or something could not be read, 2 wrong use.
+--from and --to are of each log's own time; of chosen messages or signals no
+problems are told."""
 SHARE: Final = 0.1
 TOLD: Final = ("missing", "period")
 

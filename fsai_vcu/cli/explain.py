@@ -34,18 +34,23 @@ def run(args: argparse.Namespace) -> int:
     if not len(frames):
         return 1
     record, _, verdict = judged(args, sources, decoding, frames)
-    shown = verdict.between(*part.seconds(record.begin_ns)).explanation
+    inside = verdict.between(*part.seconds(record.begin_ns))
+    shown = inside.explanation
+    told = {(incident.kind.slug, incident.t_ns) for incident in shown.incidents}
     if part:
         frames = part.of(frames)
         if not len(frames):
             raise UserError(f"no frame of {sources.name} is in that part")
-        verdict = replace(judged(args, sources, decoding, frames)[2], begin_ns=record.begin_ns)
+        alone = judged(args, sources, decoding, frames)[2]
+        # What is told of the part with causes from the whole log counts, whether the part alone shows it or not.
+        whole = [one for one in inside.findings if (one.kind, one.t_ns) in told]
+        rest = [one for one in alone.findings if (one.kind, one.t_ns) not in told]
+        verdict = replace(alone, begin_ns=record.begin_ns, findings=(*whole, *rest))
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)
-    told = {(incident.kind.slug, incident.t_ns) for incident in shown.incidents}
-    rest = tuple(one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told)
-    text = (*replace(verdict, findings=rest).lines(), f"verdict: {verdict.line()}")
+    others = tuple(one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told)
+    text = (*replace(verdict, findings=others).lines(), f"verdict: {verdict.line()}")
     for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
     return verdict.status

@@ -19,10 +19,10 @@ EXAMPLE = "fsai-vcu foxglove can0\n  fsai-vcu foxglove --layout > fsai.json"
 ABOUT = """\
 Each message is a topic /can/NAME with its signals; /can/state has the words of
 AS state, mission and shutdown cause, /can/bridge what the bridge tells the VCU
-of itself. In Foxglove: open connection, Foxglove
-WebSocket, ws://localhost:8765, then import the layout that --layout prints. A
-log is played once, as fast as it was recorded. It never sends to the bus. Needs
-the extra foxglove (pip install 'fsai-vcu[foxglove]')."""
+of itself. In Foxglove: open connection, Foxglove WebSocket,
+ws://localhost:8765, then import the layout that --layout prints. A log is
+played once, as fast as it was recorded. It never sends to the bus. Needs the
+extra foxglove (pip install 'fsai-vcu[foxglove]')."""
 PORT: Final = 8765
 PIECE_NS: Final = 50_000_000  # of a log, handed over at once
 WORDS: Final = {

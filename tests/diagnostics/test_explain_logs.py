@@ -500,6 +500,15 @@ def test_a_part_in_emergency_brake_is_not_ok(explain: Explain, stopped: Frames, 
     assert "problem: at " in out and "it began before the log did" in out
 
 
+def test_a_part_with_an_incident_is_not_ok_though_it_begins_late(explain: Explain, tmp_path: Path) -> None:
+    """The part alone does not show that the car drove before it was stopped."""
+    frames = branch(driving(), lambda run: run.lockstep.bridge.set_mode("manual", run.now_ns), 2.0).frames
+    (stop,) = explained(Record(frames)).incidents
+    begin_s = (stop.t_ns - int(frames.t_ns[0])) / S - 0.02
+    status, out, _ = explain(written(frames, tmp_path / "run.log"), "--from", begin_s)
+    assert "\n1 early stop\nverdict: NOT OK: 1 problem" in out and status == 1
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [(None, "No such file"), (b"", "no frame"), (bytes(range(256)) * 40, "nothing could be read: line 1")],

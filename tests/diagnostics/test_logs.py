@@ -130,6 +130,20 @@ def test_mf4_is_read_with_frames_of_every_kind_in_time(tmp_path: Path) -> None:
     assert read(tmp_path / "run.mf4") == expected
 
 
+def test_mf4_frames_marked_as_invalid_are_read_too(tmp_path: Path) -> None:
+    fields = {"BusChannel": "u1", "ID": "<u4", "DataLength": "u1", "DataBytes": "(8,)u1"}
+    frames = np.zeros(3, [(f"CAN_DataFrame.{name}", kind) for name, kind in fields.items()])
+    frames["CAN_DataFrame.ID"] = 0x520
+    invalid = np.array([False, True, False])
+    with asammdf.MDF(version="4.11") as mdf:
+        source = asammdf.Source("CAN", "CAN", "", 2, 2)
+        mdf.append(
+            [asammdf.Signal(frames, np.arange(3.0), name="CAN_DataFrame", source=source, invalidation_bits=invalid)]
+        )
+        mdf.save(tmp_path / "run.mf4")
+    assert len(read(tmp_path / "run.mf4")) == 3
+
+
 def test_an_mf4_of_signals_is_not_taken_for_an_empty_log(tmp_path: Path) -> None:
     path = tmp_path / "run.mf4"
     with asammdf.MDF(version="4.10") as mdf:

@@ -183,6 +183,12 @@ def test_a_status_that_repeats_itself_before_a_drive_is_told() -> None:
     assert ("frozen" in kinds(frozen), "frozen" in kinds(waiting.frames)) == (True, False)
 
 
+@pytest.mark.parametrize("batch_ms", [100, 300])
+def test_batches_of_an_adapter_are_no_frozen_status(drive: Frames, batch_ms: int) -> None:
+    held_back = replace(drive, t_ns=(drive.t_ns // (batch_ms * MS) + 1) * batch_ms * MS)
+    assert set(kinds(held_back)) == {"gap"}, "they leave pauses"
+
+
 @pytest.mark.parametrize("seen", ["from the end of the bridge on", "with its end"])
 def test_a_vcu_alone_is_no_frozen_one(seen: str) -> None:
     alone = branch(off(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 2.0)

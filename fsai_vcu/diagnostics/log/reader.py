@@ -214,7 +214,9 @@ class Log:
         hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
         try:
             source = self._path if is_file else io.BytesIO(self._stream.read())
-            with asammdf.MDF(source, process_bus_logging=False) as mdf:  # type: ignore[call-arg]
+            # A frame whose bytes are marked as invalid came nevertheless.
+            options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
+            with asammdf.MDF(source, **options) as mdf:
                 parts = bus_frames(mdf, lambda problem: self.problems.add(f"{self.name}: {problem}"))
         except Exception as error:  # the same as in _messages
             self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")

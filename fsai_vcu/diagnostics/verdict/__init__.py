@@ -243,7 +243,8 @@ def _repeating(record: Record, told_ns: list[int]) -> Iterator[Finding]:
     times, told = record.times(STATUS), np.array(told_ns, np.int64)
     ends_ns = np.append(toggle_ns[1:], times[-1:])[: len(toggle_ns)]
     stood_ns = ends_ns - toggle_ns - waited_ns
-    came = np.searchsorted(times, ends_ns) - np.searchsorted(times, toggle_ns)
+    spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]  # an adapter's batch is one sign of life
+    came = np.searchsorted(spread, ends_ns) - np.searchsorted(spread, toggle_ns)
     states, asms = (record.series(signal).sampled(ends_ns - 1) for signal in (AS_STATE, AS_SWITCH))
     due = (asms != 0) & (np.arange(len(states)) > 0) & ~np.isin(states, (EMERGENCY, FINISHED))
     due |= np.isin(states, (READY, DRIVING))

@@ -115,7 +115,9 @@ def drive(args: argparse.Namespace) -> int:
         _say(f"bus {bus}{kind}, ROS domain {stack.domain_id}, logs in {args.out}")
         verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
         if args.own_vcan:
-            _say("watch it: this vcan0 is the demo's own; started with --bus loopback:demo, it says how")
+            python = os.path.relpath(sys.executable)
+            other = f"{python} -m fsai_hil.rehearsal.demo --bus loopback:demo"
+            _say(f"watch it: this vcan0 is the demo's own and not to be reached; can be watched: {other}")
         else:
             _say(f"watch it: ROS_DOMAIN_ID={stack.domain_id} {verb} pitwall {bus} --ros")
         stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
