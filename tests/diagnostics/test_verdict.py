@@ -293,6 +293,20 @@ def test_a_cause_before_the_second_car_is_told() -> None:
     assert kinds(in_order(frames, replace(other, t_ns=other.t_ns + 4 * MS))) == ["emergency_brake", "intruder"]
 
 
+def test_a_cause_between_two_looks_of_a_second_car_is_told() -> None:
+    frames = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 4.0).frames
+    since_s = (frames.t_ns - frames.t_ns[0]) / S
+    seen = ((since_s > 8.0) & (since_s < 8.5)) | (since_s > since_s[-1] - 1.0)
+    other = frames.only((frames.can_id == 0x520) & seen)
+    found = kinds(in_order(frames, replace(other, t_ns=other.t_ns + 4 * MS)))
+    assert found == ["intruder", "emergency_brake", "intruder"]
+
+
+def test_what_an_adapter_held_back_is_no_second_car(drive: Frames) -> None:
+    begun_ns = drive.t_ns[0] + 5 * S
+    assert "intruder" not in kinds(replace(drive, t_ns=np.maximum(drive.t_ns, begun_ns)))
+
+
 def test_many_incidents_of_one_cause_are_one_line() -> None:
     silent = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 1.0).frames
     length_ns = int(silent.t_ns[-1] - silent.t_ns[0])

@@ -40,7 +40,7 @@ _TOO_MANY: Final = (
 
 def explained(record: Record) -> Explanation:
     """What happened in a log, and why."""
-    mixed = record.second_car
+    mixed = record.second_cars
     # Of two who ask, the car can follow one.
     asked = () if record.second_senders or mixed else mismatches(record)
     kinds = (emergencies(record), refusals(record), early_stops(record), asked)
@@ -49,7 +49,7 @@ def explained(record: Record) -> Explanation:
         incident
         for kind in found
         for incident in kind[:MOST_INCIDENTS]
-        if mixed is None or not mixed.begin_ns <= incident.t_ns <= mixed.end_ns
+        if not any(car.begin_ns <= incident.t_ns <= car.end_ns for car in mixed)
     ]
     no_state = "" if len(record.series(AS_STATE)) else "without the AS state"
     return Explanation(
@@ -109,7 +109,7 @@ def _missing(record: Record) -> Iterator[str]:
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
         yield f"the log begins in {first}: what led there is not in it"
-    if (mixed := record.second_car) is not None:
+    for mixed in record.second_cars:
         begin_s, end_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (mixed.begin_ns, mixed.end_ns))
         yield f"two cars were on the bus from {begin_s:.3f} s to {end_s:.3f} s: no cause is told from that"
     for name, count in record.other_channels.items():

@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straightened
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS, first_echoes
-from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_car, second_senders
+from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_cars, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -371,9 +371,9 @@ class Record:
         return second_senders(self.frames, self.decoder.databases)
 
     @cached_property
-    def second_car(self) -> SecondSender | None:
+    def second_cars(self) -> Sequence[SecondSender]:
         """While somebody else sends the car's messages too: what these say then is of no one car."""
-        return second_car({can_id: self.times(can_id) for can_id in VCU_IDS})
+        return second_cars({can_id: self.times(can_id) for can_id in VCU_IDS})
 
 
 def _car_channel(frames: Frames) -> int:

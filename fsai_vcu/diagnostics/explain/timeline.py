@@ -263,7 +263,7 @@ def _link(record: Record) -> Iterator[TimelineEntry]:
             over_ns = toggle_ns + waited_ns
             text = f"the handshake's echo is missing for {ms(waited_ns)} (100 ms are a loss)"
             yield TimelineEntry(toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
-    for other in (*record.second_senders, *([record.second_car] if record.second_car else [])):
+    for other in (*record.second_senders, *record.second_cars):
         yield TimelineEntry(other.begin_ns, "intruder", other.sentence, FAULT, other.can_ids[0])
 
 

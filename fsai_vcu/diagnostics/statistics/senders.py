@@ -68,6 +68,26 @@ class SecondSender:
 def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
     """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards."""
     found = [one for can_id in AI_IDS for one in _of_id(frames, can_id, databases.layouts.get(can_id))]
+    return _joined(found)
+
+
+def second_cars(times: Mapping[int, Ints]) -> list[SecondSender]:
+    """Every stretch in which more of the VCU's messages come than one VCU sends; `times` of each, in order."""
+    found: list[SecondSender] = []
+    for can_id, t_ns in times.items():
+        many = _too_many(t_ns, SHORT_NS, SHORT_EXCESS, PERIOD_NS, LONG_EXCESS) if len(t_ns) > 1 else t_ns > t_ns
+        for part in _together(t_ns, np.flatnonzero(many)):
+            proof = f"{_rate(t_ns, part):.0f} frames a second"
+            found.append(SecondSender((can_id,), int(t_ns[part[0]]), int(t_ns[part[-1]]), proof))
+    sends = f"and one car sends {S // PERIOD_NS}"
+    return [
+        replace(one, proof=f"{one.proof} for {(one.end_ns - one.begin_ns) / S:.1f} s, {sends}")
+        for one in _joined(found)
+    ]
+
+
+def _joined(found: list[SecondSender]) -> list[SecondSender]:
+    """Those that are of one time together, in the order of time."""
     joined: list[SecondSender] = []
     for one in sorted(found, key=lambda one: one.begin_ns):
         last = joined[-1] if joined else None
@@ -81,22 +101,6 @@ def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
             payloads=last.payloads or one.payloads,
         )
     return joined
-
-
-def second_car(times: Mapping[int, Ints]) -> SecondSender | None:
-    """From the first to the last time that more of the VCU's messages come than one VCU sends; `times` of each."""
-    begins_ns, ends_ns, rates = {}, [], []
-    for can_id, t_ns in times.items():
-        many = _too_many(t_ns, SHORT_NS, SHORT_EXCESS, PERIOD_NS, LONG_EXCESS) if len(t_ns) > 1 else np.zeros(0, bool)
-        if many.any() and t_ns[-1] > t_ns[0]:
-            begins_ns[can_id] = int(t_ns[many][0])
-            ends_ns.append(int(t_ns[many][-1]))
-            rates.append(_rate(t_ns, many))
-    if not begins_ns:
-        return None
-    begin_ns, end_ns = min(begins_ns.values()), max(ends_ns)
-    proof = f"{max(rates):.0f} frames a second for {(end_ns - begin_ns) / S:.1f} s, and one car sends {S // PERIOD_NS}"
-    return SecondSender(tuple(sorted(begins_ns)), begin_ns, end_ns, proof)
 
 
 def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[SecondSender]:
@@ -138,7 +142,7 @@ def _around(t_ns: Ints) -> Ints:
     return np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
 
 
-def _rate(t_ns: Ints, many: Mask) -> float:
+def _rate(t_ns: Ints, many: Mask | Ints) -> float:
     """Frames a second where there are too many; at the edges of such a stretch there are fewer."""
     return float(np.percentile(_around(t_ns)[many], 75))
 
@@ -153,10 +157,12 @@ def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, aroun
         hits = hits[_around(t_ns)[hits] >= around * LONG_NS / period_ns]
     if not len(hits):
         return np.zeros(count, np.bool_)
-    # Frames that were held back, however long, bring one sender no further ahead of its period than it ever was.
+    # Frames that were held back, however long, bring one sender no further ahead of its period than it ever was; and
+    # those of one instant, with which a log may begin, are an adapter's.
     ahead_ns = np.arange(count) * period_ns - (t_ns - t_ns[0])
     ends = np.searchsorted(t_ns, t_ns[hits] + window_ns)
-    far = ahead_ns[ends - 1] - np.maximum.accumulate(ahead_ns)[hits] >= AHEAD_NS
+    at_once = np.searchsorted(t_ns, t_ns[hits], "right") - 1
+    far = ahead_ns[ends - 1] - np.maximum.accumulate(ahead_ns)[at_once] >= AHEAD_NS
     begun, ended = (np.bincount(places[far], minlength=count + 1) for places in (hits, ends))
     within: Mask = np.cumsum(begun - ended)[:-1] > 0
     return within
@@ -207,11 +213,7 @@ def _most_before(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _stretches(frames: Frames, rows: Ints, hits: Mask, proof: str, *, payloads: bool = False) -> list[SecondSender]:
-    places = np.flatnonzero(hits)
-    if not len(places):
-        return []
     t_ns = frames.t_ns[rows]
-    cuts = np.flatnonzero(np.diff(t_ns[places]) > TOGETHER_NS) + 1
     can_id = int(frames.can_id[rows[0]])
     return [
         SecondSender(
@@ -221,5 +223,13 @@ def _stretches(frames: Frames, rows: Ints, hits: Mask, proof: str, *, payloads: 
             proof,
             tuple(frames.payload(int(rows[place])) for place in (part[0] - 1, part[0])) if payloads else (),
         )
-        for part in np.split(places, cuts)
+        for part in _together(t_ns, np.flatnonzero(hits))
     ]
+
+
+def _together(t_ns: Ints, places: Ints) -> list[Ints]:
+    """The places in parts with pauses between them."""
+    if not len(places):
+        return []
+    parts: list[Ints] = np.split(places, np.flatnonzero(np.diff(t_ns[places]) > TOGETHER_NS) + 1)
+    return parts

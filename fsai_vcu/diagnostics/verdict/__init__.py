@@ -159,8 +159,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
         where = (one.begin_ns, remedy, one.can_ids, record.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
-    mixed = record.second_car
-    if mixed is not None:
+    for mixed in record.second_cars:
         remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
         where = (mixed.begin_ns, remedy, mixed.can_ids, record.channel)
         findings.append(Finding("problem", "intruder", mixed.sentence, *where))
@@ -175,7 +174,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
 
     def told(bus: BusStatistics, finding: Finding) -> bool:
         if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
-            if mixed is not None and bus.channel == record.channel:
+            if record.second_cars and bus.channel == record.channel:
                 return True
             return bus.handshake.unanswered + bus.handshake.above_100_ms <= echoes
         begun_ns = finding.t_ns or 0
@@ -196,7 +195,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
-    if mixed is None:
+    if not record.second_cars:
         findings += [*_in_passing(record), *_repeating(record, [incident.t_ns for incident in explanation.incidents])]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     return Verdict(record.begin_ns, explanation, tuple(findings), (*_unknown(record), *_not_judged(record, buses)))

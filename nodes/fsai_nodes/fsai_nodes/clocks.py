@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.clocks import AHEAD_NS, StampConverter
 
 # A command's data this old are half way to being stale (safety: 500 ms): time to say whose silence it is.
@@ -93,11 +94,13 @@ class Input:
         self._age_ns = 0
         self._said = False
         self._publishers: list[str] = []  # who did last: one that has ended is not in the ROS graph any more
+        self._look_ns = 0  # the next time: the name of a publisher may stay unknown, and to ask at each message is slow
 
     def received(self, now_ns: int, age_ns: int = 0) -> None:
         """A message came, with data of that age; negative: stamped ahead of the clock."""
         self._received_ns, self._age_ns = now_ns, age_ns
-        if not self._publishers:
+        if not self._publishers and now_ns >= self._look_ns:
+            self._look_ns = now_ns + S
             self._look()
 
     def forget(self) -> None:
