@@ -28,8 +28,9 @@ from fsai_vcu.diagnostics.explain.incident import (
     ranked,
     shown,
 )
-from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Span, ms
+from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Series, Span, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
@@ -134,8 +135,9 @@ def _reported(record: Record, span: Span) -> dict[str, Sureness]:
 def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     for signal in sig.FAULTS:
         if FAULT_BITS[signal.name] == slug:
-            rose = [s.begin_ns for s in record.changes(signal, t_ns - BEHIND_NS, t_ns + AROUND_NS) if s.value]
-            return [candidate(slug, sureness, signal.step([*rose, t_ns][0], f"{signal.name} is 1"))]
+            begun = record.series(signal).begun(t_ns - BEHIND_NS, t_ns + AROUND_NS)
+            rose_ns = next((s.begin_ns for s in begun if s.value and s.before is not None), t_ns)
+            return [candidate(slug, sureness, signal.step(rose_ns, f"{signal.name} is 1"))]
     return [candidate(slug, sureness, sig.SHUTDOWN_CAUSE.step(t_ns, f"SHUTDOWN_CAUSE names it: {slug}"))]
 
 
@@ -374,10 +376,12 @@ def _lost_car(record: Record) -> Iterator[Incident]:
 
 def early_stops(record: Record) -> Iterator[Incident]:
     """Every service-brake stop from speed in a drive that was not ended by an emergency brake."""
-    for span in record.series(sig.AS_STATE).spans:
-        if span.value != sig.DRIVING or span.after == sig.EMERGENCY:
+    brake = record.series(sig.BRAKE_REQ_F)
+    driven = np.flatnonzero(record.series(sig.SPEED_MAX_R).sampled(brake.t_ns))
+    for span in record.series(sig.AS_STATE).spans.of(sig.DRIVING):
+        if span.after == sig.EMERGENCY:
             continue
-        began_ns = _service_brake(record, span.begin_ns, span.end_ns)
+        began_ns = _service_brake(brake, driven, span.begin_ns, span.end_ns)
         if began_ns is None or record.at(sig.ESTOP, began_ns):
             yield from _without_a_stop(record, span)
             continue
@@ -451,15 +455,18 @@ def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
     return [shown(Reason.SEQUENCE_SHORT.slug, step)]
 
 
-def _service_brake(record: Record, begin_ns: int, end_ns: int) -> int | None:
-    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on."""
-    brake = record.series(sig.BRAKE_REQ_F).between(begin_ns, end_ns)
-    limited = record.series(sig.SPEED_MAX_R).sampled(brake.t_ns) == 0
-    driven = np.flatnonzero(~limited)
-    if not len(driven):
+def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> int | None:
+    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on.
+
+    driven: where in `brake` it was not 0.
+    """
+    low, high = np.searchsorted(brake.t_ns, (begin_ns, end_ns + 1))
+    low, high_driven = np.searchsorted(driven, (low, high))
+    if low == high_driven:
         return None
-    stopping = np.flatnonzero(np.abs(brake.values[driven[-1] :] - CONFIG.stop_brake_pct) < 1.0)
-    return int(brake.t_ns[driven[-1] + stopping[0]]) if len(stopping) else None
+    last = driven[high_driven - 1]
+    stopping = np.flatnonzero(np.abs(brake.values[last:high] - CONFIG.stop_brake_pct) < 1.0)
+    return int(brake.t_ns[last + stopping[0]]) if len(stopping) else None
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:

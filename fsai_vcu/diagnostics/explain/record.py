@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import repeat
+from itertools import chain, repeat
 from typing import Final, NamedTuple, overload
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
-from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
+from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable, values_of
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.signals import Signal
@@ -35,6 +35,7 @@ Values = npt.NDArray[np.float64]
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 _own_databases: Final = cache(load_databases)
+_AT_ONCE: Final = 1000  # spans
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
 
@@ -76,16 +77,22 @@ class Spans(Sequence[Span]):
     def __getitem__(self, place: slice) -> list[Span]: ...
     def __getitem__(self, place: int | slice) -> Span | list[Span]:
         if isinstance(place, slice):
-            return list(self._between(*place.indices(len(self))[:2]))
+            return list(self.between(*place.indices(len(self))[:2]))
         at = range(len(self))[place]
         before = None if self.apart[at] else float(self.values[at - 1])
         after = None if self.apart[at + 1] else float(self.values[at + 1])
         return Span(int(self.begin_ns[at]), int(self.end_ns[at]), float(self.values[at]), before, after)
 
     def __iter__(self) -> Iterator[Span]:
-        return self._between(0, len(self))
+        # Some at a time: who looks for the first few need not wait for all.
+        return chain.from_iterable(self.between(low, low + _AT_ONCE) for low in range(0, len(self), _AT_ONCE))
 
-    def _between(self, low: int, high: int) -> Iterator[Span]:
+    def of(self, value: float) -> Iterator[Span]:
+        """Those of this value."""
+        return map(self.__getitem__, np.flatnonzero(self.values == value).tolist())
+
+    def between(self, low: int, high: int) -> Iterator[Span]:
+        """Those of the slice."""
         apart = self.apart[low : high + 1].tolist()
         values = [*([] if low else [None]), *self.values[max(low - 1, 0) : high + 1].tolist(), None]
         before = [None if alone else value for alone, value in zip(apart, values, strict=False)]
@@ -133,14 +140,14 @@ class Series:
 
     def last(self, t_ns: int, *values: float) -> Span | None:
         """The last span with one of these values (none named: any but 0) that begins up to and including `t_ns`."""
-        found = self.spans.values != 0 if not values else np.isin(self.spans.values, values)
-        places = np.flatnonzero(found & (self.spans.begin_ns <= t_ns))
+        begun = self.spans.values[: np.searchsorted(self.spans.begin_ns, t_ns, side="right")]
+        places = np.flatnonzero(np.isin(begun, values) if values else begun)
         return self.spans[int(places[-1])] if len(places) else None
 
-    def begun(self, begin_ns: int, end_ns: int) -> Sequence[Span]:
+    def begun(self, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """Spans that begin from `begin_ns` up to and including `end_ns`."""
         low, high = np.searchsorted(self.spans.begin_ns, (begin_ns, end_ns + 1)).tolist()
-        return self.spans[low:high]
+        return self.spans.between(low, high)
 
     def between(self, begin_ns: int, end_ns: int) -> Series:
         """The part from `begin_ns` up to and including `end_ns`."""
@@ -270,11 +277,17 @@ class Record:
         rows = self._rows.get(layout.key) if layout is not None else None
         if layout is None or rows is None:
             return NOTHING
+        described = {one.name: one for one in layout.signals}
+        asked = next((described[signal.name + tail] for tail in _NAME_TAILS if signal.name + tail in described), None)
+        if asked is None:
+            return NOTHING
+        if layout.plain:  # then no more is decoded than is asked for
+            values, _ = values_of(asked, self.frames.word[rows])
+            return Series(self.times(layout.key), values.astype(np.float64))
         if layout.name not in self._tables:
             self._tables[layout.name] = self.decoder.table(layout, self.frames, rows)
-        named = self._tables[layout.name].series
-        found = next((named[signal.name + tail] for tail in _NAME_TAILS if signal.name + tail in named), None)
-        return NOTHING if found is None else Series(found.t_ns, found.values.astype(np.float64))
+        found = self._tables[layout.name].series[asked.name]
+        return Series(found.t_ns, found.values.astype(np.float64))
 
     def matching(self, patterns: Sequence[str]) -> dict[str, list[tuple[str, Series]]]:
         """By unit, (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ? means."""

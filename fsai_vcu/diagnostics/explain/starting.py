@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from operator import not_
 from typing import Final
 
+import numpy as np
+
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS
 from fsai_vcu.diagnostics.explain.endings import idle, restarted, switched
@@ -194,18 +196,17 @@ def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> 
 def refusals(record: Record) -> Iterator[Incident]:
     """Every time that the car was to start and did not."""
     yield from _never_ready(record)
-    for span in record.series(sig.AS_STATE).spans:
-        if span.value == sig.READY:
-            incident = _refused_go(record, span)
-            if incident is None and span.after not in (sig.DRIVING, sig.EMERGENCY):
-                incident = _waited_in_vain(record, span)
-            if incident is not None:
-                yield incident
+    for span in record.series(sig.AS_STATE).spans.of(sig.READY):
+        incident = _refused_go(record, span)
+        if incident is None and span.after not in (sig.DRIVING, sig.EMERGENCY):
+            incident = _waited_in_vain(record, span)
+        if incident is not None:
+            yield incident
 
 
 def _never_ready(record: Record) -> Iterator[Incident]:
-    for begin_ns, end_ns, after_run, following in _off_stays(record):
-        if following is not None or end_ns - begin_ns < PATIENCE_NS:
+    for begin_ns, end_ns, after_run in _off_stays(record):
+        if end_ns - begin_ns < PATIENCE_NS:
             continue
         if after_run and not any(s.value for s in record.changes(sig.AS_SWITCH, begin_ns, end_ns)):
             continue  # the run is over, and the switches go off
@@ -220,14 +221,15 @@ def _never_ready(record: Record) -> Iterator[Incident]:
         yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates))
 
 
-def _off_stays(record: Record) -> Iterator[tuple[int, int, bool, float | None]]:
-    """(begin, end, whether a run was before, the state after) of each stay in AS_INIT and AS_OFF while 0x520 came."""
-    begin_ns, after_run = 0, False
-    for span in record.series(sig.AS_STATE).spans_within(GONE_NS):
-        if span.value in OFF_LIKE and span.before not in OFF_LIKE:
-            begin_ns, after_run = span.begin_ns, span.before is not None
-        if span.value in OFF_LIKE and span.after not in OFF_LIKE:
-            yield begin_ns, span.end_ns, after_run, span.after
+def _off_stays(record: Record) -> Iterator[tuple[int, int, bool]]:
+    """(begin, end, whether a run was before) of each stay in AS_INIT and AS_OFF that lasted as long as 0x520 came."""
+    spans = record.series(sig.AS_STATE).spans_within(GONE_NS)
+    off = np.isin(spans.values, tuple(OFF_LIKE))
+    begins = np.flatnonzero(off & (spans.apart[:-1] | ~np.append(False, off[:-1])))
+    ends = np.flatnonzero(off & spans.apart[1:])
+    firsts = begins[np.searchsorted(begins, ends, side="right") - 1]
+    columns = spans.begin_ns[firsts], spans.end_ns[ends], ~spans.apart[firsts]
+    return zip(*(column.tolist() for column in columns), strict=True)
 
 
 def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:

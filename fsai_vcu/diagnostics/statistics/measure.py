@@ -297,7 +297,8 @@ def _measure_message(
         expected_ms=expected_ns / MS if expected_ns else None,
         interval_ms=TimeSpread.of(ordered if timed else ordered[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
-        jitter_ms=TimeSpread.of(np.sort(np.abs(intervals - typical_ns)) if timed else ordered[:0]),
+        # One run falls and one rises: "stable" only merges them.
+        jitter_ms=TimeSpread.of(np.sort(np.abs(ordered - typical_ns), kind="stable") if timed else ordered[:0]),
         gaps=len(ordered) - int(np.searchsorted(ordered, missing, side="right")) if timed else 0,
         lost=max(0, round(int(no_pauses.sum()) / typical_ns) - len(no_pauses)) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
