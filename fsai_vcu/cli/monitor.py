@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     if sources.live:
         with closing(chunks):  # what was not received is told when it is over, however that came
             first = list(islice(chunks, 1))  # the bus is opened here, not in the thread
-            source = Live(chain(first, chunks), view, lambda: sources.lost_here)
+            source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
             status = _show(source, every_s, patterns, args, drawn=drawn)
         return status | sources.status
     ahead = sources.files or still  # what is played while it is piped in may be without end: it is not kept

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.services import nodes_module
+from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     source: Source
     if sources.live:
         first = list(islice(chunks, 1))  # the bus is opened here, not in the thread
-        source = Live(chain(first, chunks), view, lambda: sources.lost_here)
+        source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
     else:
         source = Log(chunks, view, None, args.rate or 1.0, keep=args.loop)
         if source.empty:
@@ -99,10 +99,8 @@ def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
     if not args.ros:
         yield lambda: ({}, {})
         return
-    try:
+    with ros_errors():
         listener = nodes_module("pitwall").PitWall(args.namespace or "/")
-    except ValueError as error:
-        raise UserError(f"--namespace {error}") from error
     listener.start()
     try:
         yield listener.look

@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.services import nodes_module
+from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.export.writing import check_format
 from fsai_vcu.diagnostics.log.live import Listener
@@ -242,7 +242,5 @@ def _topics(args: argparse.Namespace) -> Any | None:
     if not args.ros:
         return None
     recorder = nodes_module("recorder")
-    try:
+    with ros_errors():
         return recorder.TopicRecorder((*recorder.PROJECT_TOPICS, *args.topic), args.namespace or "/")
-    except ValueError as error:
-        raise UserError(f"--namespace {error}") from error

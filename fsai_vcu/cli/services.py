@@ -15,7 +15,7 @@ from typing import Any
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.runtime.configuration import usual_environment
-from fsai_vcu.runtime.transport import set_transport
+from fsai_vcu.runtime.transport import enclave_words, set_transport
 
 ASK_AGAIN_S = 1.0  # the bridge has an answer in half of that, of a hanging loop, too
 _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
@@ -46,6 +46,23 @@ def nodes_module(name: str) -> Any:
 
 
 @contextmanager
+def ros_errors() -> Iterator[None]:
+    """A namespace that is none, and an encrypted DDS that does not come up, as UserError."""
+    try:
+        yield
+    except ValueError as error:
+        raise UserError(f"--namespace {error}") from error
+    except RuntimeError as error:  # rclpy's
+        if os.environ.get("ROS_SECURITY_ENABLE") != "true":
+            raise
+        keystore = os.environ.get("ROS_SECURITY_KEYSTORE", "the one that ROS_SECURITY_KEYSTORE is to name")
+        raise UserError(
+            f"DDS is to be encrypted and cannot be ({str(error).splitlines()[0]}): it needs the distribution's ROS 2, "
+            f"and keys of `fsai-vcu enclaves` that this user may read, in {keystore}"
+        ) from error
+
+
+@contextmanager
 def operator_node(namespace: str = "/") -> Iterator[Any]:
     """A short-lived node, where the car's configuration says that its nodes are to be found.
 
@@ -62,15 +79,14 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
     except ImportError as error:
         raise UserError(_NO_ROS.format(missing=error)) from error
     # A question leaves no log file behind, and needs no place for one.
-    words = ["--ros-args", "--disable-external-lib-logs"]
-    if os.environ.get("ROS_SECURITY_ENABLE") == "true":
-        words += ["--enclave", "/fsai/operator"]
+    words = ["--ros-args", "--disable-external-lib-logs", *enclave_words("operator", os.environ)]
     # Ctrl-C is answered as by every verb, not by a ROS that has ended meanwhile.
     with ExitStack() as ending:
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-        ending.callback(rclpy.try_shutdown)
         try:
-            node = rclpy.create_node("fsai_operator", namespace=namespace, enable_rosout=False)
+            with ros_errors():
+                rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+                ending.callback(rclpy.try_shutdown)
+                node = rclpy.create_node("fsai_operator", namespace=namespace, enable_rosout=False)
         except InvalidNamespaceException as error:
             raise UserError(f"--namespace {namespace}: that is no ROS namespace; one is like /car1") from error
         ending.callback(node.destroy_node)

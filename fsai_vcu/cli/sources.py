@@ -258,6 +258,7 @@ class Sources:
         self.files = all(Path(name).is_file() for name, _ in self._rules)
         self.first_ns: int | None = None  # of the whole log, whatever the part
         self._lost: Callable[[], int] = lambda: 0  # frames for which this machine had no room
+        self.heard_ns: Callable[[], int] = time.monotonic_ns  # live: the last of `chunks` holds everything until then
 
     def chunks(
         self, seconds: float | None = None, *, announced: bool = False, waits: bool = False
@@ -360,6 +361,7 @@ class Sources:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
         source = LiveSource([name for name, _ in self._rules], waits=waits)
         self._lost = lambda: source.dropped
+        self.heard_ns = lambda: source.heard_ns
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with closing(source):
             if announced and seconds is None:

@@ -51,6 +51,11 @@ def set_transport(environ: MutableMapping[str, str]) -> str:
     return ""
 
 
+def enclave_words(name: str, environ: Mapping[str, str]) -> list[str]:
+    """The ROS arguments with which a process takes the keys of `fsai-vcu enclaves`; none where DDS is not encrypted."""
+    return ["--enclave", f"/fsai/{name}"] if environ.get("ROS_SECURITY_ENABLE") == "true" else []
+
+
 def loopback_environment(environ: Mapping[str, str]) -> dict[str, str]:
     """`environ` for the processes of a rehearsal: the loopback profile, whatever the caller has chosen for himself."""
     return {**{name: value for name, value in environ.items() if name not in VARIABLES}, **LOOPBACK}

@@ -1,18 +1,24 @@
-"""Frames that this machine had no room for are named by every verb that listens, and in what was recorded."""
+"""What this machine had no room or no time for is told as its own fault, by every verb that listens."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
+import threading
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from talking_bus import talking
 
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.log.live import Listener
+from fsai_vcu.diagnostics.log.live import Listener, LiveSource
+from fsai_vcu.diagnostics.monitor.sources import Live
+from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import CanBus
 
 BUS = f"loopback:lost-{os.getpid()}"
 WORDS = "7 frames lost in this machine's receive buffer: no fault of the bus or the car"
@@ -45,3 +51,34 @@ def test_a_log_without_a_loss_is_judged_by_its_frames(tmp_path: Path, capsys: py
     for lost in ("{}", '{"lost_in_receive_buffer": 0}', '{"lost_in_receive_buffer": null}', "no JSON"):
         (tmp_path / "run.json").write_text(lost)
         assert (main(["check", str(log)]), capsys.readouterr()) == before, lost
+
+
+def test_frames_that_are_not_taken_yet_are_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    has_time = threading.Event()
+    has_time.set()
+    receive = CanBus.recv_stamped
+
+    def when_there_is_time(bus: CanBus, *args: Any, **options: Any) -> Any:
+        has_time.wait()
+        return receive(bus, *args, **options)
+
+    monkeypatch.setattr(CanBus, "recv_stamped", when_there_is_time)
+    with talking(BUS, Frame(0x520, bytes(8))), closing(source := LiveSource([BUS])):
+        live = Live(source.chunks(60.0), View(BUS), heard_ns=lambda: source.heard_ns)
+
+        def shown(lags: bool) -> str | None:
+            """The AS state at the first look at which the display lags, or does not."""
+            while True:
+                picture = live.look().picture
+                if picture.as_state and any("this display lags by" in text for text in picture.link) == lags:
+                    return picture.as_state
+                live.wait(0.01)
+
+        assert shown(lags=False) == "AS_INIT"
+        has_time.clear()
+        assert shown(lags=True) == "AS_INIT"
+        has_time.set()
+        assert shown(lags=False) == "AS_INIT"
+        source.lost = "enough"
+        live.wait(10.0)
+        live.close()

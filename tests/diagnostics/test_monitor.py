@@ -457,6 +457,19 @@ def test_a_held_picture_stays_and_nothing_is_lost_meanwhile() -> None:
     live.close()
 
 
+@pytest.mark.parametrize("lags", [True, False])
+def test_a_display_that_lags_does_not_call_the_car_silent(lags: bool) -> None:
+    wall_ns, now_ns = time.time_ns(), time.monotonic_ns()
+    before = every_cycle(wall_ns - 3 * S, wall_ns - 2 * S, (0x520, status(AsState.AS_DRIVING)))
+    live = Live(iter([before]), View("can0"), heard_ns=lambda: now_ns - (2 * S if lags else 0))
+    live.wait(10.0)
+    picture = live.look().picture
+    seen = next(one for one in picture.messages if one.can_id == 0x520)
+    assert (seen.freshness, picture.as_state) == ((Freshness.FRESH, "AS_DRIVING") if lags else (Freshness.LOST, None))
+    assert any(text.startswith("this display lags by ") for text in picture.link) == lags
+    live.close()
+
+
 def test_what_ends_the_reading_of_a_bus_is_raised_at_close() -> None:
     def chunks() -> Iterator[Frames]:
         yield every_cycle(0, S, (0x520, status(AsState.AS_OFF)))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from http.client import HTTPConnection
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -153,12 +155,22 @@ def test_of_silent_nodes_nothing_is_left_to_draw(nodes: Nodes, wall: PitWall) ->
     assert (now, before) == ({}, {})
 
 
+def test_a_display_that_lags_calls_no_node_silent(nodes: Nodes, wall: PitWall) -> None:
+    await_all(nodes, wall)
+    wall._ended.set()  # no message is taken any more
+    wall._thread.join()
+    nodes.rig.spin_until(lambda: any(said.startswith("this display lags by ") for said in words(wall)), "its lag")
+    now = drawn(wall)
+    assert not any("silent" in said for said in words(wall)) and now["path_cm"] and now["seen_cm"]
+
+
 def test_what_bridge_planner_and_controller_say_is_shown(nodes: Nodes, wall: PitWall) -> None:
-    nodes.state |= {"emergency": "asked for by /emergency_brake", "gate_reasons": ["torque held"], "stopping": "stale"}
+    emergency = "the emergency brake was asked for: by /emergency_brake"
+    nodes.state |= {"emergency": emergency, "gate_reasons": ["torque held"], "stopping": "stale"}
     nodes.status |= {"note": "no cones ahead", "stop_distance_m": math.nan}
     nodes.command |= {"note": "no path"}
     wanted = {
-        "bridge: ESTOP_REQUEST: asked for by /emergency_brake": "fault",
+        f"bridge: ESTOP_REQUEST: {emergency}": "fault",
         "bridge: stale": "warning",
         "bridge: torque held": "warning",
         "bridge: driving": "",
@@ -195,6 +207,17 @@ def test_it_reads_best_effort_and_says_nothing(rig: RosRig, wall: PitWall) -> No
     }
     with pytest.raises(ValueError, match="car one is no ROS namespace"):
         PitWall("car one")
+
+
+@pytest.mark.parametrize("words", [["pitwall", "BUS", "--ros", "--port", "0"], ["status"]])
+def test_keys_that_are_missing_are_one_line(bus: str, tmp_path: FilePath, words: list[str]) -> None:
+    (tmp_path / "enclaves").mkdir()
+    keys = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    command = [sys.executable, "-m", "fsai_vcu.cli.main", *(word.replace("BUS", bus) for word in words)]
+    done = subprocess.run(command, env=os.environ | keys, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith(f"fsai-vcu {words[0]}: DDS is to be encrypted and cannot be (")
+    assert f"keys of `fsai-vcu enclaves` that this user may read, in {tmp_path}" in done.stderr
 
 
 def test_the_verb_serves_bus_and_nodes_and_then_the_bus(nodes: Nodes, bus: str) -> None:

@@ -18,7 +18,9 @@ from fsai_hil.rehearsal.scrutineering.conditions import (
 )
 from fsai_hil.rehearsal.scrutineering.load import (
     BUS_BITS_PER_S,
+    BUSY,
     MEMORY_MOST_BYTES,
+    VIEWERS,
     car_bits_per_s,
     fill_frames_per_s,
     frame_bits,
@@ -92,6 +94,22 @@ def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeyp
         while (now := resident_bytes(pid)) >= before:
             most = before = max(before, now)
         assert most <= most_bytes + (64 << 20), "and no more than it may"
+
+
+def test_ten_viewers_watch_a_pit_wall_while_it_is_measured(tmp_path: Path) -> None:
+    condition = Condition("driving-pitwall", AsState.AS_DRIVING, (Load.PIT_WALL,))
+    with (
+        Stack(f"loopback:watched-{os.getpid()}", tmp_path) as stack,
+        pytest.raises(StackError, match="pitwall-driving-pitwall ended"),
+        loaded(stack, condition, tmp_path / "file", 0.0),
+    ):
+        wall, viewers = stack.processes.values()
+        assert wall.alive and viewers.log() == f"{BUSY}\n"
+        links = Path(f"/proc/{viewers.popen.pid}/fd").iterdir()
+        assert sum(str(each.readlink()).startswith("socket:") for each in links) == VIEWERS
+        wall.stop()
+        viewers.wait(20.0)
+        assert "the pit wall has ended" in viewers.log()
 
 
 @pytest.mark.parametrize(("load", "how"), [(Load.DISK, "with status 1"), (Load.BUS, "")])

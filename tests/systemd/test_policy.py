@@ -7,6 +7,8 @@ from xml.etree import ElementTree
 
 from install_rig import CHECKOUT
 
+from fsai_nodes.qos import TOPICS
+
 POLICY = CHECKOUT / "systemd" / "security" / "policy.xml"
 # What the car obeys.
 DANGEROUS_TOPICS = {"vehicle_cmd", "run_state", "reset_confirmation", "path", "planner_status"}
@@ -52,6 +54,17 @@ def test_each_node_may_publish_and_read_what_it_does() -> None:
     ]
     assert {topic for _, _, topic in done} >= DANGEROUS_TOPICS
     assert [each for each in done if each[0] not in may[each[1]].get(each[2], ())] == []
+
+
+def test_who_listens_may_read_every_topic_and_say_none() -> None:
+    may = {
+        how: {topic for topic, who in allowed("topic", how).items() if "listener" in who}
+        for how in ("publish", "subscribe")
+    }
+    assert may == {
+        "publish": {"parameter_events"},
+        "subscribe": {*TOPICS, "tf", "tf_static", "clock", "parameter_events"},
+    }
 
 
 def test_every_node_of_a_service_has_an_enclave_of_its_name() -> None:

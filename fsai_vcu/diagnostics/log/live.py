@@ -16,6 +16,7 @@ from typing import Final
 
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, can_interfaces, open_bus
 
 Received = tuple[Frame, int]  # and the bus's own wall-clock stamp
@@ -34,6 +35,7 @@ class Listener:
 
     `lost`: why the bus is gone; with `waits` it is reported, and opened again when it comes back. `overrun`: frames
     thrown away because they were not fetched for too long. `dropped`: those that the kernel had no room for.
+    `heard_ns`: what passed until then (monotonic clock) can be fetched; on a busy machine that is behind the present.
     """
 
     def __init__(self, spec: str, *, waits: bool) -> None:
@@ -45,6 +47,7 @@ class Listener:
         self._thread = threading.Thread(target=self._run, name="listener", daemon=True)
         self._spec = spec
         self._bus: CanBus | None = _open(spec)
+        self.heard_ns = time.monotonic_ns()
         self._dropped = 0  # of buses that are closed
         self._received: deque[Received] = deque()
         self._news: deque[str] = deque()
@@ -71,6 +74,7 @@ class Listener:
             if self._bus is None:
                 self._try_again(lost_s)
                 continue
+            until_ns = time.monotonic_ns() + round(_WAIT_S * S)
             try:
                 received = self._bus.recv_stamped(_WAIT_S, bus_off_is_lost=False)
             except BusLost as error:
@@ -85,8 +89,10 @@ class Listener:
                 self.overrun += 1
             elif received is not None:
                 self._received.append(received)
+            self.heard_ns = until_ns if received is None else received[0].t_ns
 
     def _try_again(self, lost_s: float) -> None:
+        self.heard_ns = time.monotonic_ns()
         try:
             self._bus = _open(self._spec)
         except BusError:
@@ -114,13 +120,15 @@ class LiveSource:
     """Receives from buses. Times are their own stamps of the wall clock.
 
     `lost` is the one clear line of what ended it, None while all is well; `missing` says what was not received. With
-    `waits` a bus that is lost ends nothing: it is opened again when it comes back.
+    `waits` a bus that is lost ends nothing: it is opened again when it comes back. `heard_ns`: everything until then
+    (monotonic clock) is in the last of `chunks`.
     """
 
     def __init__(self, interfaces: Sequence[str], *, waits: bool = False) -> None:
         """Opens them all; raises runtime.bus.BusError."""
         self._waits = waits
         self.lost: str | None = None
+        self.heard_ns = time.monotonic_ns()
         self._channels: list[str] = []
         self._listeners: list[Listener] = []
         names = [name for each in interfaces for name in (can_interfaces() if each == _ALL_INTERFACES else [each])]
@@ -163,7 +171,14 @@ class LiveSource:
         return sum(listener.dropped for listener in self._listeners)
 
     def _fetched(self) -> Frames:
-        received = [log_frame(each, listener.name) for listener in self._listeners for each in listener.fetch()]
+        received: list[LogFrame] = []
+        heard_ns: list[int] = []
+        for listener in self._listeners:
+            before_ns = listener.heard_ns  # read first: what comes meanwhile is no gap
+            fetched = listener.fetch()
+            heard_ns.append(max(before_ns, fetched[-1][0].t_ns if fetched else 0))
+            received += (log_frame(each, listener.name) for each in fetched)
+        self.heard_ns = min(heard_ns)
         return frames_of(sorted(received, key=lambda frame: frame.t_ns), self._channels)
 
     def close(self) -> None:

@@ -22,6 +22,7 @@ from fsai_vcu.interface.units import S
 
 _RECENT_CHUNKS: Final = 8
 _FAR_OFF_NS: Final = 60 * S  # a stamp so far from now is of a device's own clock
+_LAG_NS: Final = S // 2
 
 
 class Moment(NamedTuple):
@@ -33,17 +34,33 @@ class Moment(NamedTuple):
     words: str
 
 
+def lag_words(heard_ns: int, now_ns: int) -> str:
+    """Of a display that has taken only what came until `heard_ns`; '' where that is near enough to the present."""
+    lag_ns = now_ns - heard_ns
+    return f"this display lags by {lag_ns / S:.1f} s: this machine is too busy" if lag_ns > _LAG_NS else ""
+
+
 class Live:
     """A bus as it is now: a thread takes its frames. Ages are those of the monotonic clock: a step of the wall clock
-    changes none."""
+    changes none. What is late or lost is judged at the time until which everything was taken: while this program gets
+    no time to take frames, it says so, and not that the car is silent."""
 
-    def __init__(self, chunks: Iterator[Frames], view: View, notice: Callable[[], str] = lambda: "") -> None:
-        """notice: what there is to say of the link beside its frames, or ''."""
+    def __init__(
+        self,
+        chunks: Iterator[Frames],
+        view: View,
+        notice: Callable[[], str] = lambda: "",
+        heard_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """notice: what there is to say of the link beside its frames, or ''. heard_ns: the last chunk holds everything
+        until then (monotonic clock)."""
         self.playing = True
         self._notice = notice
         self._chunks = chunks
         self._view = view
-        self._waiting: deque[Frames] = deque()
+        self._heard_ns = heard_ns
+        self._shown_ns = time.monotonic_ns()
+        self._waiting: deque[tuple[Frames, int]] = deque()
         self._held: Moment | None = None
         self._stop = False
         self._receiving = ThreadPoolExecutor(1).submit(self._receive)
@@ -55,7 +72,8 @@ class Live:
     def advance(self, seconds: float = 0.0) -> None:
         """Time goes on by itself; what came is taken."""
         while self._waiting:
-            self._view.update(self._waiting.popleft())
+            frames, self._shown_ns = self._waiting.popleft()
+            self._view.update(frames)
 
     def wait(self, seconds: float) -> None:
         """Until that time is over, or the bus."""
@@ -71,9 +89,10 @@ class Live:
         self.advance()
         if self._held:
             return self._held
-        picture = self._view.picture(time.monotonic_ns())
-        if notice := self._notice():
-            picture = replace(picture, link=(*picture.link, notice))
+        now_ns = time.monotonic_ns()
+        picture = self._view.picture(self._shown_ns)
+        notices = filter(None, (lag_words(self._shown_ns, now_ns), self._notice()))
+        picture = replace(picture, link=(*picture.link, *notices))
         return Moment(self._view, picture, time.time(), self.clock(picture.t_ns)[:8])
 
     def clock(self, t_ns: int) -> str:
@@ -93,16 +112,17 @@ class Live:
         for frames in self._chunks:
             if self._stop:
                 break
-            self._waiting.append(_on_our_clock(frames, time.time_ns(), time.monotonic_ns()))
+            heard_ns = self._heard_ns()
+            self._waiting.append((_on_our_clock(frames, time.time_ns(), time.monotonic_ns(), heard_ns), heard_ns))
 
 
-def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
-    """Stamps of the wall clock (or of a device's own) as times of the monotonic clock, none of them in the future."""
+def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int, latest_ns: int) -> Frames:
+    """Stamps of the wall clock (or of a device's own) as times of the monotonic clock, none after `latest_ns`."""
     if not len(frames):
         return frames
     newest_ns = int(frames.t_ns.max())
     reference_ns = wall_ns if abs(wall_ns - newest_ns) < _FAR_OFF_NS else newest_ns
-    return frames.at(np.minimum(frames.t_ns - reference_ns + now_ns, now_ns))
+    return frames.at(np.minimum(frames.t_ns - reference_ns + now_ns, latest_ns))
 
 
 class Log:

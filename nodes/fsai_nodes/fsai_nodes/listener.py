@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 
 import rclpy
 from rclpy.context import Context
@@ -12,20 +13,23 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from fsai_vcu.runtime.transport import set_transport
+from fsai_vcu.runtime.transport import enclave_words, set_transport
 
 TURN_S = 0.1
 
 
 class Listener:
-    """Receives from `start` to `stop`. What it subscribes to is said in between, on `_node`."""
+    """Receives from `start` to `stop`. What it subscribes to is said in between, on `_node`.
+
+    `heard_ns`: when it last looked for messages (monotonic clock); on a busy machine that is behind the present.
+    """
 
     def __init__(self, name: str, namespace: str) -> None:
         """Raises ValueError where `namespace` is none."""
         self._context = Context()
         set_transport(os.environ)
         # It leaves no log file behind, and needs no place for one.
-        words = ["--ros-args", "--disable-external-lib-logs"]
+        words = ["--ros-args", "--disable-external-lib-logs", *enclave_words("listener", os.environ)]
         rclpy.init(args=words, context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         try:
             self._node = Node(
@@ -40,6 +44,7 @@ class Listener:
             raise ValueError(f"{namespace} is no ROS namespace; one is like /car1") from error
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self.heard_ns = time.monotonic_ns()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
 
@@ -56,4 +61,5 @@ class Listener:
 
     def _spin(self) -> None:
         while not self._ended.is_set():
+            self.heard_ns = time.monotonic_ns()
             self._executor.spin_once(timeout_sec=TURN_S)

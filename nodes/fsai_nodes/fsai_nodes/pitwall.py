@@ -20,6 +20,7 @@ from fsai_nodes.qos import profile
 from fsai_nodes.scene import Scene
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.core.planning.pose import lengths_along, to_odometry
+from fsai_vcu.diagnostics.monitor.sources import lag_words
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.units import MS
 
@@ -58,14 +59,15 @@ class PitWall(Listener):
         Only words, and nothing to draw, while the nodes are silent. Lengths are cm in the frame of the odometry.
         """
         with self._lock:
-            now_ns = self._clocks.now_ns()
+            now_ns = self.heard_ns  # what this program has had no time to take is nobody's silence
+            late = [(words, "warning") for words in (lag_words(now_ns, self._clocks.now_ns()),) if words]
             silence = self._inputs["vehicle_state"].silence(now_ns)
             if silence:
-                return {"nodes": [(silence, "warning")]}, {}
+                return {"nodes": [*late, (silence, "warning")]}, {}
             state = self._scene.state
             plan = self._plan(now_ns)
             drawn = {
-                "nodes": [*self._words(plan, now_ns)],
+                "nodes": [*late, *self._words(plan, now_ns)],
                 "run": state.run_id,
                 "pose": [round(each, 3) for each in (state.x, state.y, state.yaw_rad)],
                 "seen_cm": self._seen(now_ns),

@@ -17,6 +17,8 @@ class Load(Enum):
     DISK = "the disk written to without a pause"
     BUS = "the bus filled to 500 kbit/s"
     MEMORY = "a neighbour that takes, touches and gives back most of the free memory"
+    PIT_WALL = "a pit wall on the bus, with ten viewers"
+    PIT_WALL_ROS = "a pit wall on the bus and, by --ros, on the nodes, with ten viewers"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,7 @@ class Condition:
 
     @property
     def words(self) -> str:
-        load = "all of it at once" if len(self.load) == len(Load) else ", ".join(each.value for each in self.load)
+        load = "all of it at once" if self.load == _ALL else ", ".join(each.value for each in self.load)
         return _CAR[self.car] + (f"; {load}" if load else "")
 
 
@@ -38,19 +40,21 @@ _CAR = {
     AsState.AS_READY: "all nodes, car waiting for Go in AS_READY",
     AsState.AS_DRIVING: "all nodes, car driving laps",
 }
+_ALL = (Load.PROCESSORS, Load.DISK, Load.BUS, Load.MEMORY)
 _LOADS: dict[str, tuple[Load, ...]] = {
     "": (),
     "-busy": (Load.PROCESSORS,),
     "-disk": (Load.DISK,),
     "-full-bus": (Load.BUS,),
     "-memory": (Load.MEMORY,),
-    "-loaded": tuple(Load),
+    "-loaded": _ALL,
 }
+_WATCHED: dict[str, tuple[Load, ...]] = {"-pitwall": (Load.PIT_WALL,), "-pitwall-ros": (Load.PIT_WALL_ROS,)}
 
 CONDITIONS: tuple[Condition, ...] = (
     *(Condition(f"idle{name}", AsState.AS_OFF, load) for name, load in _LOADS.items()),
     Condition("standing", AsState.AS_READY),
-    *(Condition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in _LOADS.items()),
+    *(Condition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in (_LOADS | _WATCHED).items()),
 )
 BY_NAME = {condition.name: condition for condition in CONDITIONS}
 SHORT = ("idle", "idle-loaded")  # what needs no drive

@@ -1,7 +1,7 @@
 """What else keeps a machine and a bus busy: as processes of their own, at normal priority.
 
-`python -m fsai_hil.rehearsal.scrutineering.load processor`, `… memory BYTES`, `… disk FILE` and `… file FILE` are such
-processes.
+`python -m fsai_hil.rehearsal.scrutineering.load processor`, `… memory BYTES`, `… disk FILE`, `… file FILE` and
+`… viewers PORT` are such processes.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ import mmap
 import os
 import re
 import signal
+import socket
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from selectors import EVENT_READ, DefaultSelector
 from typing import Final
 
 from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load
@@ -32,8 +34,10 @@ BLOCKS: Final = 256  # then from the start of the file again
 UNFORCED_PAUSE_S: Final = 0.01
 MEMORY_SHARE: Final = 0.6  # of what is available: nobody is to be ended for want of memory
 MEMORY_MOST_BYTES: Final = 4 << 30
+VIEWERS: Final = 10
 BUSY: Final = "load: at work"
 _START_S = 30.0
+_PIT_WALL_START_S = 120.0  # it imports ROS, on one slow processor
 _SIMULATED = (Flow.TO_VCU, Flow.FROM_VCU, Flow.FROM_SENSOR)
 
 
@@ -83,6 +87,13 @@ def loaded(
             start("disk", *own, "disk" if force_disk else "file", str(disk_file))
         for name in names:
             stack.processes[name].await_log(BUSY, _START_S)
+        if {Load.PIT_WALL, Load.PIT_WALL_ROS} & {*condition.load}:
+            ros = ["--ros"] if Load.PIT_WALL_ROS in condition.load else []
+            start("pitwall", sys.executable, "-m", "fsai_vcu.cli.main", "pitwall", stack.bus, "--port", "0", *ros)
+            stack.processes[names[-1]].await_log(" shows ", _PIT_WALL_START_S)
+            (port,) = re.findall(r":(\d+) shows ", stack.processes[names[-1]].log())
+            start("viewers", *own, "viewers", port)
+            stack.processes[names[-1]].await_log(BUSY, _START_S)
         if Load.BUS in condition.load and (rate := fill_frames_per_s(car_bits)):
             gap_ms = f"{1000.0 * FILL_BURST / rate:.4f}"
             what = ("-I", f"{FILL_ID:X}", "-L", str(FILL_BYTES), "-D", "A5" * FILL_BYTES)
@@ -135,6 +146,22 @@ def keep_disk_busy(path: Path, force: bool) -> None:
                     time.sleep(UNFORCED_PAUSE_S)
 
 
+def watch_pit_wall(port: int) -> None:
+    """As viewers of the page do: each takes all that its stream of events gives."""
+    with contextlib.ExitStack() as ending, DefaultSelector() as selector:
+        for _ in range(VIEWERS):
+            viewer = ending.enter_context(socket.create_connection(("127.0.0.1", port)))
+            viewer.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            selector.register(viewer, EVENT_READ, viewer)
+        waiting = {key.data for key in selector.get_map().values()}
+        while True:
+            for key, _ in selector.select():
+                if not key.data.recv(1 << 16):
+                    sys.exit("load: the pit wall has ended")
+                if waiting and not (waiting := waiting - {key.data}):
+                    print(BUSY, flush=True)
+
+
 def main(argv: list[str]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
@@ -142,6 +169,8 @@ def main(argv: list[str]) -> None:
             keep_processor_busy()
         elif argv[0] == "memory":
             keep_memory_busy(int(argv[1]))
+        elif argv[0] == "viewers":
+            watch_pit_wall(int(argv[1]))
         else:
             keep_disk_busy(Path(argv[1]), force=argv[0] == "disk")
 
