@@ -5,6 +5,7 @@ The hook makes a picture of a mermaid diagram when the site is built, so the pag
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -35,6 +36,11 @@ def _picture(source: str, *_: Any, **__: Any) -> str:
 def on_config(config: Any) -> None:
     fence = {"name": "mermaid", "class": "mermaid", "format": _picture}
     config.mdx_configs["pymdownx.superfences"] = {"custom_fences": [fence]}
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """In a table's code GitHub needs \\| for |, and here the backslash would be shown."""
+    return re.sub(r"`[^`\n]+`", lambda code: code[0].replace("\\|", "|"), markdown)
 
 
 def main(out: Path) -> int:

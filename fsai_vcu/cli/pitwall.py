@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    os.nice(5)  # what drives the car goes first, and it takes a while to load what follows
     from fsai_vcu.diagnostics.monitor.sources import Live, Log
     from fsai_vcu.diagnostics.monitor.view import View
     from fsai_vcu.diagnostics.pitwall.server import Server
@@ -69,7 +70,6 @@ def run(args: argparse.Namespace) -> int:
         server = Server(args.host, args.port)
     except OSError as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
-    os.nice(5)  # what drives the car goes first
     source: Source
     if sources.live:
         first = list(islice(chunks, 1))  # the bus is opened here, not in the thread

@@ -97,10 +97,10 @@ def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeyp
 
 
 def test_ten_viewers_watch_a_pit_wall_while_it_is_measured(tmp_path: Path) -> None:
-    condition = Condition("driving-pitwall", AsState.AS_DRIVING, (Load.PIT_WALL,))
+    condition = Condition("idle-pitwall", AsState.AS_OFF, (Load.PIT_WALL,))
     with (
         Stack(f"loopback:watched-{os.getpid()}", tmp_path) as stack,
-        pytest.raises(StackError, match="pitwall-driving-pitwall ended"),
+        pytest.raises(StackError, match="pitwall-idle-pitwall ended"),
         loaded(stack, condition, tmp_path / "file", 0.0),
     ):
         wall, viewers = stack.processes.values()

@@ -52,9 +52,9 @@ _LOADS: dict[str, tuple[Load, ...]] = {
 _WATCHED: dict[str, tuple[Load, ...]] = {"-pitwall": (Load.PIT_WALL,), "-pitwall-ros": (Load.PIT_WALL_ROS,)}
 
 CONDITIONS: tuple[Condition, ...] = (
-    *(Condition(f"idle{name}", AsState.AS_OFF, load) for name, load in _LOADS.items()),
+    *(Condition(f"idle{name}", AsState.AS_OFF, load) for name, load in (_LOADS | _WATCHED).items()),
     Condition("standing", AsState.AS_READY),
-    *(Condition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in (_LOADS | _WATCHED).items()),
+    *(Condition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in _LOADS.items()),
 )
 BY_NAME = {condition.name: condition for condition in CONDITIONS}
 SHORT = ("idle", "idle-loaded")  # what needs no drive
