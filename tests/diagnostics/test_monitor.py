@@ -437,13 +437,15 @@ def test_a_log_is_read_only_as_far_as_is_looked() -> None:
 def test_a_held_picture_stays_and_nothing_is_lost_meanwhile() -> None:
     go_on = threading.Event()
 
+    now_ns, heard_ns = time.time_ns(), [time.monotonic_ns()]
+
     def chunks() -> Iterator[Frames]:
-        now_ns = time.time_ns()
         yield every_cycle(now_ns - S, now_ns, (0x520, status(AsState.AS_OFF)))
-        go_on.wait(10.0)
+        go_on.wait()
+        heard_ns.append(heard_ns[0] + 200 * MS)
         yield every_cycle(now_ns, now_ns + 200 * MS, (0x520, status(AsState.AS_READY)))
 
-    live = Live(chunks(), View("can0"))
+    live = Live(chunks(), View("can0"), heard_ns=lambda: heard_ns[-1])
     while live.look().picture.as_state is None:
         pass
     live.pause()
