@@ -8,11 +8,11 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, part_of, record_in
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, judged
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import Signal
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, measure
-from fsai_vcu.diagnostics.verdict import Verdict, judge_log
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding
+from fsai_vcu.diagnostics.verdict import Verdict
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
@@ -36,27 +36,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     decoding = Decoding("compare", args)
     patterns = decoding.patterns(args.signals)
-    records, buses, verdicts, status = [], [], [], 0
+    found, status = [], 0
     for name in args.logs:
-        sources = Sources("compare", [name], part=part_of(args, decoding))
+        sources = Sources("compare", [name])
         if sources.live:
             raise UserError(f"{name} is a bus; compare takes two logs")
-        record = record_in(args, sources, decoding)
-        if record is None:
+        one = judged(args, sources, decoding)
+        if one is None:
             return 1
         status |= sources.status
-        if (record.decoder.which(record.frames) < 0).all():
+        if (one.record.decoder.which(one.record.frames) < 0).all():
             print(f"fsai-vcu compare: the databases name no frame of {name}: no values are compared", file=sys.stderr)
             status = 1
-        records.append(record)
-        buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
-        verdicts.append(judge_log(record, buses[-1:]))
-    lines = [*([] if patterns else _messages(*buses)), *_signals(records[0], records[1], patterns or ["*"])]
-    if records[0].revision.name != records[1].revision.name:
-        lines.append(f"interface revision: {records[0].revision.name}, then {records[1].revision.name}")
+        found.append(one)
+    first, second = (one.record for one in found)
+    lines = [*([] if patterns else _messages(*(one.bus for one in found))), *_signals(first, second, patterns or ["*"])]
+    if first.revision.name != second.revision.name:
+        lines.append(f"interface revision: {first.revision.name}, then {second.revision.name}")
     if not (patterns or args.messages):  # some messages alone have no story
-        for name, here, there in zip(args.logs, verdicts, reversed(verdicts), strict=True):
-            lines += [f"only in {name}: {line}" for line in _problems(here, there)]
+        for name, here, there in zip(args.logs, found, reversed(found), strict=True):
+            lines += [f"only in {name}: {line}" for line in _problems(here.verdict, there.verdict)]
     print("\n".join(lines) if lines else "nothing differs")
     return 1 if lines else status
 

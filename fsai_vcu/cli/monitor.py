@@ -9,17 +9,18 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
 from itertools import chain, islice
 from pathlib import Path
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, judged, write_out
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, write_out
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
-from fsai_vcu.diagnostics.verdict import Verdict
+from fsai_vcu.diagnostics.verdict import Verdict, judged
 from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = (
@@ -93,11 +94,13 @@ def run(args: argparse.Namespace) -> int:
     @cache
     def verdict() -> Verdict:
         log.read_all()
-        return judged(args, sources, decoding, joined(read))[2]
+        found = judged(joined(read), args.revision, decoding.databases if args.dbc else None, begin_ns=sources.first_ns)
+        return found.verdict.unread(sources.status, sources.lost_here)
 
     def findings(until_ns: int) -> list[str]:
-        found = verdict().between(None, (until_ns - log.begin_ns) / 1e9)
-        return [f"whole log: {verdict().line()}", *found.lines(remedies=False)]
+        whole = verdict()
+        shown = tuple(one for one in whole.findings if one.t_ns is None or one.t_ns <= until_ns)
+        return [f"whole log: {whole.line()}", *replace(whole, findings=shown).lines(remedies=False)]
 
     if ahead:
         log.findings = findings

@@ -13,7 +13,6 @@ from fsai_vcu.cli.sources import (
     add_part_arguments,
     add_source_argument,
     part_of,
-    record_in,
 )
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.interface.errors import UserError
@@ -43,9 +42,10 @@ def run(args: argparse.Namespace) -> int:
         page = vars(args) | {"sources": [args.source], "signals": ",".join(args.signals), "seconds": None}
         return report.run(argparse.Namespace(**page))
     sources.check_output(args.output)
-    record = record_in(args, sources, decoding)
-    if record is None:
+    frames = sources.everything()
+    if not len(frames):
         return 1
+    record = Record(frames, args.revision, decoding.databases if args.dbc else None)
     groups = record.matching(args.signals)
     if not groups:
         raise UserError(f"no signal {' or '.join(args.signals)} in {sources.name}; fsai-vcu dbc show lists them")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, part_of
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.report.page import page_of
 from fsai_vcu.interface.errors import UserError
 
@@ -28,22 +28,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     check_seconds(args)
     decoding = Decoding("report", args)
-    sources = Sources("report", args.sources, part=part_of(args, decoding))
+    sources = Sources("report", args.sources)
     sources.check_output(args.output)
-    frames = sources.everything(args.seconds)
-    if not len(frames):
+    found = judged(args, sources, decoding)
+    if found is None:
         return 1
-    record, buses, verdict = judged(args, sources, decoding, frames)
-    chosen = record.matching((args.signals or "").split(","))
+    chosen = found.record.matching((args.signals or "").split(","))
     if args.signals is not None and not chosen:
         raise UserError(f"no signal {args.signals} in {sources.name}; fsai-vcu dbc show lists them")
-    text = page_of(record, buses, verdict, Path(sources.name).name, chosen)
+    text = page_of(found, Path(sources.name).name, chosen)
     try:
         _write(args.output, text)
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
-    print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB); verdict: {verdict.line()}")
-    return verdict.status
+    print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB); verdict: {found.verdict.line()}")
+    return found.verdict.status
 
 
 def _write(path: Path, text: str) -> None:

@@ -29,9 +29,7 @@ from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.explain.record import Record
-    from fsai_vcu.diagnostics.statistics.measure import BusStatistics
-    from fsai_vcu.diagnostics.verdict import Verdict
+    from fsai_vcu.diagnostics.verdict import Judged
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
@@ -81,25 +79,31 @@ def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True)
     add_database_arguments(parser)
 
 
-def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Record | None:
-    """The frames of all sources sorted for an explanation; None without a frame, which was reported then."""
-    from fsai_vcu.diagnostics.explain import Record
+def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Judged | None:
+    """The frames of all sources, or of the part that is asked for, measured and judged.
 
-    frames = sources.everything(getattr(args, "seconds", None))
-    return Record(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
+    None without a frame at all, which was reported then. Raises UserError where no frame is in the part.
+    """
+    from fsai_vcu.diagnostics.verdict import judged as judged_frames
 
-
-def judged(
-    args: argparse.Namespace, sources: Sources, decoding: Decoding, frames: Frames
-) -> tuple[Record, list[BusStatistics], Verdict]:
-    """All frames of the sources, at least one, sorted for an explanation, measured and judged as check does."""
-    from fsai_vcu.diagnostics.explain import Record
-    from fsai_vcu.diagnostics.statistics.measure import measure
-    from fsai_vcu.diagnostics.verdict import judge_log
-
-    record = Record(frames, args.revision, decoding.databases if args.dbc else None)
-    buses = measure(frames, record.decoder, revision=record.revision.name)
-    return record, buses, judge_log(record, buses).unread(sources.status, sources.lost_here)
+    part, progress = part_of(args, decoding), Progress()
+    frames = sources.everything(getattr(args, "seconds", None), progress.reading)
+    progress.end()
+    if not len(frames):
+        return None
+    rate = getattr(args, "bitrate", None)
+    try:
+        found = judged_frames(
+            frames,
+            args.revision,
+            decoding.databases if args.dbc else None,
+            part,
+            bitrate=rate,
+            begin_ns=sources.first_ns,
+        )
+    except ValueError as error:
+        raise UserError(f"no frame of {sources.name} is in that part") from error
+    return found._replace(verdict=found.verdict.unread(sources.status, sources.lost_here))
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
@@ -115,7 +119,7 @@ def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
             chosen |= found or {int(name, 16)}
         ids = frozenset(chosen)
     try:
-        return Part(args.begin, args.end, ids)
+        return Part(getattr(args, "begin", None), getattr(args, "end", None), ids)
     except ValueError as error:
         raise WrongUse(str(error)) from error
 

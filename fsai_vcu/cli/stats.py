@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 
-from fsai_vcu.cli.sources import Decoding, Progress, Sources, add_log_arguments, check_seconds, part_of, write_out
-from fsai_vcu.diagnostics.explain import Record
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics, measure
-from fsai_vcu.diagnostics.verdict import judge_log
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, write_out
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = "fsai-vcu stats can0 --seconds 10"
@@ -37,19 +34,13 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     if args.bitrate is not None and args.bitrate < 1:
         raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
     decoding = Decoding(verb, args)
-    sources = Sources(verb, args.sources, decoding, part_of(args, decoding))
-    progress = Progress()
-    frames = sources.everything(args.seconds, progress.reading)
-    progress.end()
-    buses = measure(frames, decoding.decoder, revision=decoding.revision, bitrate=args.bitrate)
-    for bus in buses:
-        write_out((_as_json(bus, table=table) if args.json else _for_people(bus, table=table)).encode())
-    if not len(frames):
+    found = judged(args, Sources(verb, args.sources, decoding), decoding)
+    if found is None:
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
-    record = Record(frames, decoding.revision, decoding.databases)
-    judged = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
-    verdict = judged.unread(sources.status, sources.lost_here)
+    for bus in found.buses:
+        write_out((_as_json(bus, table=table) if args.json else _for_people(bus, table=table)).encode())
+    verdict = found.verdict
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     write_out("".join(f"{line}\n" for line in lines).encode())
     return verdict.status

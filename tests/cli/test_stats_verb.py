@@ -30,7 +30,7 @@ def run(verb: str, log: Path, *options: str) -> int:
 def test_a_bus_without_the_car_is_measured_and_not_called_ok(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("stats", well) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1].startswith("verdict: UNKNOWN: no 0x520 in the log")
+    assert lines[-1].startswith("verdict: UNKNOWN: no 0x520 was received")
     assert [line.split() for line in lines if line.startswith("123 ")] == [
         ["123", "Ours", "100", "10", "10.00", "0.00", "0.00", "0.00", "0", "10.00", "0", "1.34%"]
     ]

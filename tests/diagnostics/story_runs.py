@@ -20,8 +20,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain import Explanation, Record, explained
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.report.page import page_of
-from fsai_vcu.diagnostics.statistics.measure import measure
-from fsai_vcu.diagnostics.verdict import judge_log
+from fsai_vcu.diagnostics.verdict import judged
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 
@@ -181,6 +180,4 @@ def tell(frames: Frames, databases: Databases | None = None) -> Explanation:
 
 def page(frames: Frames, name: str) -> str:
     """The report's page on these frames."""
-    record = Record(frames)
-    buses = measure(frames, record.decoder, revision=record.revision.name)
-    return page_of(record, buses, judge_log(record, buses), name)
+    return page_of(judged(frames), name)

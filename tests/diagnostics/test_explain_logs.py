@@ -497,7 +497,7 @@ def test_a_part_in_emergency_brake_is_not_ok(explain: Explain, stopped: Frames, 
     braked_s = (int(states.t_ns[states.values == sig.EMERGENCY][0]) - int(stopped.t_ns[0])) / S
     status, out, _ = explain(path, "--from", braked_s + 0.05)
     assert status == 1 and out.splitlines()[-1].startswith("verdict: ")
-    assert "problem: at " in out and "it began before the log did" in out
+    assert f"EMERGENCY BRAKE at {braked_s:.3f} s" in out and "it began before the log did" not in out
 
 
 def test_a_part_with_an_incident_is_not_ok_though_it_begins_late(explain: Explain, tmp_path: Path) -> None:

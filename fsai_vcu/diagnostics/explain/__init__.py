@@ -1,6 +1,6 @@
 """A run explained: what happened on the car's bus, and why.
 
-    explanation = explained(Record(frames))     # frames.Frames of a whole log
+    explanation = explained(Record(frames))     # frames.Frames of a whole log; (from, to) in ns: of a part of it
     explanation.events, explanation.incidents       # timeline; emergency brakes, refusals to start, early stops, causes
     text_lines(explanation, …), json_lines(…)       # render.py
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -20,7 +19,15 @@ import numpy as np
 
 from fsai_vcu.diagnostics.explain.actuation import mismatches
 from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
-from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
+from fsai_vcu.diagnostics.explain.incident import (
+    ALWAYS,
+    Explanation,
+    Incident,
+    IncidentKind,
+    TimelineEntry,
+    TimeRange,
+    within,
+)
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
@@ -38,13 +45,14 @@ _TOO_MANY: Final = (
 )
 
 
-def explained(record: Record) -> Explanation:
-    """What happened in a log, and why."""
-    mixed = record.second_cars
+def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
+    """What happened in a log, and why. Of what happened and lasted within `part_ns`, with causes from the whole log."""
+    begin_ns, end_ns = part_ns
+    mixed = [*within(part_ns, record.second_cars)]
     # Of two who ask, the car can follow one.
-    asked = () if record.second_senders or mixed else mismatches(record)
+    asked = () if mixed or any(within(part_ns, record.second_senders)) else mismatches(record, part_ns)
     kinds = (emergencies(record), refusals(record), early_stops(record), asked)
-    found = [list(islice(kind, MOST_INCIDENTS + 1)) for kind in kinds]
+    found = [list(islice(within(part_ns, kind), MOST_INCIDENTS + 1)) for kind in kinds]
     incidents = [
         incident
         for kind in found
@@ -61,10 +69,10 @@ def explained(record: Record) -> Explanation:
             "begin_ns": record.begin_ns,
             "seconds": round((record.end_ns - record.begin_ns) / 1e9, 6),
         },
-        timeline=partial(timeline, record),
+        timeline=lambda: [event for event in timeline(record) if begin_ns <= event.t_ns <= end_ns],
         incidents=tuple(_grouped(sorted(incidents, key=lambda incident: incident.t_ns), record.begin_ns)),
         closing=_closing(record),
-        problems=(*_missing(record), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
+        problems=(*_missing(record, part_ns), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
         unknown=no_state or ("with two cars on the bus" if mixed else ""),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
@@ -93,8 +101,12 @@ def _closing(record: Record) -> str:
     return f"the log ends with the car in {label(AS_STATE, float(state.values[-1]))}{silent}"
 
 
-def _missing(record: Record) -> Iterator[str]:
-    """What this log lacks to be explained whole."""
+def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:
+    """What this log lacks to be explained whole, and which part of it is told."""
+    if part_ns != ALWAYS:
+        low_ns, high_ns = max(part_ns[0], record.begin_ns), min(part_ns[1], record.end_ns)
+        low_s, high_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (low_ns, high_ns))
+        yield f"what is told is of the part from {low_s:.3f} s to {high_s:.3f} s; causes may lie before it"
     if STATUS in record.wrong_length and not record.has(STATUS):
         yield "every 0x520 of this log has the wrong length: there is no AS state, switch or fault to tell of"
     elif not record.has(STATUS):
@@ -109,7 +121,7 @@ def _missing(record: Record) -> Iterator[str]:
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
         yield f"the log begins in {first}: what led there is not in it"
-    for mixed in record.second_cars:
+    for mixed in within(part_ns, record.second_cars):
         begin_s, end_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (mixed.begin_ns, mixed.end_ns))
         yield f"two cars were on the bus from {begin_s:.3f} s to {end_s:.3f} s: no cause is told from that"
     for name, count in record.other_channels.items():

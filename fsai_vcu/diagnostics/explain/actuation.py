@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, shown
+from fsai_vcu.diagnostics.explain.incident import ALWAYS, Incident, IncidentKind, TimeRange, shown
 from fsai_vcu.diagnostics.explain.record import Record, Values, ms
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
@@ -48,8 +48,8 @@ class Mismatch:
     least_ns: int = LASTING_NS
 
 
-def mismatches(record: Record) -> Iterator[Incident]:
-    """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
+def mismatches(record: Record, part_ns: TimeRange = ALWAYS) -> Iterator[Incident]:
+    """Where the car did not do what it was asked, in each stay in AS_DRIVING: of what touches that time the longest."""
     for span in record.series(sig.AS_STATE).spans:
         times = record.times(0x513)
         low, high = np.searchsorted(times, (span.begin_ns, span.end_ns + 1))
@@ -59,13 +59,14 @@ def mismatches(record: Record) -> Iterator[Incident]:
         seen: dict[str, Incident] = {}  # an axle that does not do it is enough
         for one in _all(record, times):
             known = [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
-            stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times)
+            stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times, part_ns)
             if stretch is not None:
                 begin_ns, end_ns = (int(times[row]) for row in stretch)
                 middle = one.words.format(*(values[sum(stretch) // 2] for values in one.values))
                 words = f"{middle}, for {ms(end_ns - begin_ns)}"
                 cause = shown(one.slug, one.signal.step(begin_ns, words))
-                seen.setdefault(one.slug, Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,)))
+                incident = Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,), lasted=(begin_ns, end_ns))
+                seen.setdefault(one.slug, incident)
         yield from seen.values()
 
 
@@ -79,10 +80,11 @@ def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
     return np.asarray(_range(late, START_TIME_NS)[1] == 0.0)
 
 
-def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
+def _longest(one: Mismatch, times: Ints, part_ns: TimeRange) -> tuple[int, int] | None:
     """Its longest stretch of rows, if that is long enough: one finding a drive, not a hundred."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], one.holds, [False])).astype(np.int8)))
     stretches = [(int(begin), int(end) - 1) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+    stretches = [rows for rows in stretches if times[rows[0]] <= part_ns[1] and times[rows[1]] >= part_ns[0]]
     longest = max(stretches, key=lambda rows: int(times[rows[1]] - times[rows[0]]), default=None)
     return longest if longest is not None and times[longest[1]] - times[longest[0]] >= one.least_ns else None
 

@@ -151,7 +151,7 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         " keep 0x514 at zero",
     ),
     "before_the_log": (
-        "it began before the log did, or the part of it that was asked for",
+        "it began before the log did",
         "look at what was before, or record from power-up on",
         "everything from power-up: start recording before LVMS",
     ),

@@ -96,7 +96,7 @@ def _emergency(record: Record, span: Span) -> Incident:
     chains = ranked(candidates)
     what = f"EMERGENCY_BRAKE{f' in {before}' if before else ''}"
     ended = tuple(candidate(one.slug, one.sureness, *_marks(record, one), *one.steps, end) for one in chains)
-    return Incident(IncidentKind.EMERGENCY, t_ns, what, ended, planned=chains[0].slug == "planned_end")
+    return Incident(IncidentKind.EMERGENCY, t_ns, what, ended, planned=chains[0].slug == "planned_end", lasted=span[:2])
 
 
 def _marks(record: Record, one: Candidate) -> list[ChainLink]:
@@ -417,7 +417,7 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
         candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
     if candidates:
         what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
-        yield Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))
+        yield Incident(IncidentKind.STOP, over_ns, what, ranked(candidates), lasted=span[:2])
 
 
 def idle(record: Record, drive_begin_ns: int, t_ns: int) -> ChainLink | None:

@@ -19,7 +19,7 @@ from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_sp
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate, shown
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Values, ms
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Span, Values, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface import messages
@@ -64,6 +64,13 @@ def dead_bus(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
         if begin_ns < t_ns and end_ns >= t_ns - AT_ONCE_NS:
             return [candidate("bus_lost", sureness, ChainLink(begin_ns, silence_words(begin_ns, end_ns)))]
     return []
+
+
+def frozen_words(record: Record, span: Span) -> str:
+    """Of one of the record's stretches with a frozen 0x520."""
+    state = label(sig.AS_STATE, record.at(sig.AS_STATE, span.begin_ns))
+    length = ms(span.end_ns - span.begin_ns)
+    return f"0x520 repeats itself for {length} in {state}: its HANDSHAKE stands, though it is echoed"
 
 
 def error_text(record: Record, t_ns: int) -> str:

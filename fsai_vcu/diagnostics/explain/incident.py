@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, Final, Protocol, TypeVar
 
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
 from fsai_vcu.interface.bus_table import BY_ID
@@ -114,7 +115,7 @@ def shown(slug: str, *steps: ChainLink) -> Candidate:
 class Incident:
     """One emergency brake, refusal, cut-off drive or early stop. `candidates` are ranked, the likeliest first.
 
-    planned: the mission ends like this, nothing is to be put right.
+    planned: the mission ends like this, nothing is to be put right. lasted: from when to when, where it is no moment.
     """
 
     kind: IncidentKind
@@ -122,6 +123,34 @@ class Incident:
     what: str
     candidates: tuple[Candidate, ...]
     planned: bool = False
+    lasted: tuple[int, int] | None = None
+
+    @property
+    def begin_ns(self) -> int:
+        return self.lasted[0] if self.lasted else self.t_ns
+
+    @property
+    def end_ns(self) -> int:
+        return self.lasted[1] if self.lasted else self.t_ns
+
+
+class Lasting(Protocol):
+    """What is of some time."""
+
+    @property
+    def begin_ns(self) -> int: ...
+    @property
+    def end_ns(self) -> int: ...
+
+
+Some = TypeVar("Some", bound=Lasting)
+TimeRange = tuple[float, float]  # from, to, in ns of the log's clock
+ALWAYS: Final[TimeRange] = (-math.inf, math.inf)
+
+
+def within(part_ns: TimeRange, things: Iterable[Some]) -> Iterator[Some]:
+    """Those with a moment in that time."""
+    return (one for one in things if one.begin_ns <= part_ns[1] and one.end_ns >= part_ns[0])
 
 
 def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:

@@ -26,8 +26,10 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straighte
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS, first_echoes
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_cars, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
 from fsai_vcu.interface.units import MS, S
 
 Values = npt.NDArray[np.float64]
@@ -137,6 +139,11 @@ class Series:
         """The span in force at `t_ns`."""
         place = int(np.searchsorted(self.spans.begin_ns, t_ns, side="right")) - 1
         return self.spans[place] if place >= 0 else None
+
+    def since(self, times: Ints) -> Ints:
+        """When the value in force at each of `times` began; 0 where the log does not have the signal."""
+        begin_ns = self.spans.begin_ns
+        return begin_ns[np.searchsorted(begin_ns, times, side="right") - 1] if len(self) else np.zeros_like(times)
 
     def last(self, t_ns: int, *values: float) -> Span | None:
         """The last span with one of these values (none named: any but 0) that begins up to and including `t_ns`."""
@@ -377,6 +384,33 @@ class Record:
         echo_ns = first_echoes(toggle_ns, bit, echo.t_ns, echo.values)
         echoed = echo_ns < NEVER_NS
         return Answers(toggle_ns, bit, np.where(echoed, echo_ns, self.end_ns) - toggle_ns, echoed)
+
+    @cached_property
+    def frozen(self) -> Sequence[Span]:
+        """Where 0x520 came and repeated itself: for 100 ms and more HANDSHAKE stood though its echo was there.
+
+        It may stand where the VCU misses the echo (AI_COMMS_LOST), where the car does not drive itself (ASMS off, or
+        0x120 says so), after a drive, and while the VCU comes up: for a second where the log has no toggle before, at 0
+        in AS_INIT for as long as it likes.
+        """
+        asked, echo, times = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO), self.times(sig.STATUS)
+        state, switch, system = map(self.series, (sig.AS_STATE, sig.AS_SWITCH, sig.SM_SYS))
+        begun = np.arange(len(asked)) > 0
+        last_ns = asked.end_ns - 1
+        states = state.sampled(last_ns)
+        due = (switch.sampled(last_ns) != 0) & ~np.isin(states, (sig.EMERGENCY, sig.FINISHED))
+        due &= begun | (asked.values != 0) | (states != AsState.AS_INIT)
+        if len(system):
+            due &= system.sampled(last_ns) == sig.DRIVE_AUTONOMOUS
+        due |= np.isin(states, (sig.READY, sig.DRIVING))
+        due &= self.series(sig.COMMS_LOST).sampled(last_ns) == 0
+        echoed_ns = first_echoes(asked.begin_ns, asked.values.astype(np.int64), echo.t_ns, echo.values)
+        since_ns = np.maximum.reduce([echoed_ns, state.since(last_ns), switch.since(last_ns)])
+        spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]  # an adapter's batch is one sign of life
+        came = np.searchsorted(spread, asked.end_ns) - np.searchsorted(spread, since_ns)
+        stood_ns = np.minimum(asked.end_ns - since_ns, came * PERIOD_NS)
+        rows = np.flatnonzero(due & (stood_ns >= np.where(begun, COMMS_LOST_NS, S))).tolist()
+        return [asked[row]._replace(begin_ns=int(since_ns[row])) for row in rows]
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:

@@ -48,6 +48,7 @@ OP_STATE: Final = Signal("VCU2AI_Status", "OP_STATE")
 TS_STATE: Final = Signal("VCU2AI_Status", "TS_STATE")
 EBS_STATE: Final = Signal("VCU2AI_Status", "EBS_STATE")
 ONLY_2026: Final = (OP_STATE, TS_STATE, EBS_STATE)  # of a 2021 car these bits say nothing, whatever a database names
+COMMS_LOST: Final = Signal("VCU2AI_Status", "AI_COMMS_LOST")
 FAULTS: Final = tuple(Signal("VCU2AI_Status", name) for name in FAULT_NAMES.values())
 WARNINGS: Final = tuple(Signal("VCU2AI_Status", name) for name in ("WARN_BATT_TEMP_HIGH", "WARN_BATT_SOC_LOW"))
 WHEEL_NAMES: Final = ("FL", "FR", "RL", "RR")
@@ -78,6 +79,7 @@ BRAKE_REQ_R: Final = Signal("AI2VCU_Brake", "HYD_PRESS_R_REQ_pct")
 
 SYSTEM: Final = "VCU_STATUS"
 SM_SYS: Final = Signal(SYSTEM, "SM_SYS")
+DRIVE_AUTONOMOUS: Final = 4.0  # of SM_SYS (interface specification v4.0)
 # What 0x120 (2021) reports as missing
 MISSED: Final = {
     **{

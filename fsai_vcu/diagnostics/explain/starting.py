@@ -16,7 +16,7 @@ import numpy as np
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS
 from fsai_vcu.diagnostics.explain.endings import idle, restarted, switched
-from fsai_vcu.diagnostics.explain.evidence import GONE_NS
+from fsai_vcu.diagnostics.explain.evidence import GONE_NS, frozen_words
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
     ChainLink,
@@ -38,7 +38,6 @@ PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
 RECENT_NS: Final = 500 * MS
-COMMS_LOST: Final = Signal("VCU2AI_Status", "AI_COMMS_LOST")
 
 Unmet = Callable[[Record, int], "ChainLink | None"]
 
@@ -72,6 +71,13 @@ def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
     if t_ns - last_ns < RECENT_NS:
         return None
     return ChainLink(last_ns, f"the last frame of the AI computer, {ms(t_ns - last_ns)} before")
+
+
+def _frozen(record: Record, t_ns: int) -> ChainLink | None:
+    for span in record.frozen:
+        if span.begin_ns <= t_ns <= span.end_ns:
+            return sig.HANDSHAKE.step(span.begin_ns, frozen_words(record, span))
+    return None
 
 
 def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
@@ -117,6 +123,7 @@ def _fault(record: Record, t_ns: int) -> ChainLink | None:
 _LINK = ("no_ai_data", "ai_data_incomplete")
 
 TO_READY: Final[tuple[StartCondition, ...]] = (
+    StartCondition("status_frozen", _frozen),
     StartCondition("no_ai_data", _no_ai_data),
     StartCondition("ai_data_incomplete", _incomplete),
     StartCondition("power_cycle", _power_cycle),
@@ -124,7 +131,7 @@ TO_READY: Final[tuple[StartCondition, ...]] = (
     StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
     StartCondition("shutting_down", _is(sig.SHUTDOWN_REQUEST, not_), after=("tsms",)),
     StartCondition("fault", _fault, after=_LINK),
-    StartCondition("link_lost", _is(COMMS_LOST, not_), after=_LINK),
+    StartCondition("link_lost", _is(sig.COMMS_LOST, not_), after=_LINK),
     StartCondition("estop_latched", _is(sig.ESTOP, not_), after=("no_ai_data",)),
     StartCondition("no_mission", _is(sig.AMI, bool)),
     StartCondition(
@@ -160,6 +167,7 @@ def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
 
 
 TO_DRIVING: Final[tuple[StartCondition, ...]] = (
+    StartCondition("status_frozen", _frozen),
     StartCondition("go_too_early", _too_early),
     StartCondition("torque_requested", lambda *at: _is(sig.TORQUE_F, not_)(*at) or _is(sig.TORQUE_R, not_)(*at)),
     StartCondition("steering_requested", _is(sig.STEER, not_)),
@@ -167,7 +175,7 @@ TO_DRIVING: Final[tuple[StartCondition, ...]] = (
     StartCondition("direction_not_neutral", _is(sig.DIRECTION, lambda value: value == Direction.NEUTRAL)),
     StartCondition("ready_not_selected", _ready_not_selected),
     StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
-    StartCondition("link_lost", _is(COMMS_LOST, not_)),
+    StartCondition("link_lost", _is(sig.COMMS_LOST, not_)),
     StartCondition("no_ai_data", _no_ai_data),
     StartCondition("steering_inactive", _is(sig.STEERING_STATUS, bool), hint=True),
     StartCondition("brakes_not_ready", _is(sig.STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
@@ -177,7 +185,7 @@ TO_DRIVING: Final[tuple[StartCondition, ...]] = (
 def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> list[Candidate]:
     """What does not hold at `t_ns`: what must be put right first, then what follows from it."""
     steps = {c.slug: (c, step) for c in conditions if (step := c.unmet(record, t_ns)) is not None}
-    named = (FAULT_BITS[signal.name] for signal in sig.FAULTS if signal != COMMS_LOST and record.at(signal, t_ns))
+    named = (FAULT_BITS[signal.name] for signal in sig.FAULTS if signal != sig.COMMS_LOST and record.at(signal, t_ns))
     fault = next(named, "fault")  # the car's own name for it says what to do
     found = [
         candidate(
@@ -218,7 +226,7 @@ def _never_ready(record: Record) -> Iterator[Incident]:
         candidates = unmet(TO_READY, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
         state = label(sig.AS_STATE, record.at(sig.AS_STATE, at_ns))
         what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
-        yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates))
+        yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates), lasted=(begin_ns, end_ns))
 
 
 def _off_stays(record: Record) -> Iterator[tuple[int, int, bool]]:
@@ -260,7 +268,7 @@ def _refused_go(record: Record, span: Span) -> Incident | None:
     later = ", later it did" if span.after == sig.DRIVING else ""
     order = sorted(found.values(), key=lambda one: -one.sureness)
     what = f"Go was given{times} and the car did not start{later}"
-    return Incident(IncidentKind.REFUSAL, refused[0], what, tuple(order))
+    return Incident(IncidentKind.REFUSAL, refused[0], what, tuple(order), lasted=(refused[0], refused[-1]))
 
 
 def _waited_in_vain(record: Record, span: Span) -> Incident | None:
@@ -289,7 +297,7 @@ def _waited_in_vain(record: Record, span: Span) -> Incident | None:
     ended = "the log ends" if span.after is None else f"{state} follows"
     order = sorted(found, key=lambda one: -one.sureness)
     what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
-    return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order))
+    return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order), lasted=span[:2])
 
 
 # ---------------------------------------------------------------- at one moment

@@ -39,21 +39,24 @@ class Part:
         """Whether anything is left out at all."""
         return self._begin is not None or self._end is not None or self._ids is not None
 
-    def seconds(self, first_ns: int) -> tuple[float | None, float | None]:
-        """(from, to) in seconds since the log's first frame, which was at `first_ns`."""
-        return _seconds(self._begin, first_ns), _seconds(self._end, first_ns)
+    def bounds(self, first_ns: int) -> tuple[float, float]:
+        """(from, to) in ns of the log's clock; its first frame was at `first_ns`."""
+        low, high = _seconds(self._begin, first_ns), _seconds(self._end, first_ns)
+        return (
+            -math.inf if low is None else first_ns + low * _SECOND_NS,
+            math.inf if high is None else first_ns + high * _SECOND_NS,
+        )
+
+    def always(self) -> Part:
+        """The same messages, at all times."""
+        return Part(ids=self._ids)
 
     def of(self, frames: Frames) -> Frames:
         """The frames of the part; the first ones ever given begin the log."""
         if not self or not len(frames):
             return frames
         if self._bounds is None:
-            first_ns = int(frames.t_ns[0])
-            low, high = self.seconds(first_ns)
-            self._bounds = (
-                -math.inf if low is None else first_ns + low * _SECOND_NS,
-                math.inf if high is None else first_ns + high * _SECOND_NS,
-            )
+            self._bounds = self.bounds(int(frames.t_ns[0]))
         inside = (frames.t_ns >= self._bounds[0]) & (frames.t_ns <= self._bounds[1])
         if self._ids is not None:
             inside &= np.isin(frames.can_id, np.fromiter(self._ids, np.uint32))

@@ -171,10 +171,10 @@ def thinned(series: Series, begin_ns: int, end_ns: int, buckets: int = BUCKETS) 
     return np.insert(t_out, holes, t_out[holes - 1] + 1), np.insert(v_out, holes, np.nan)
 
 
-def packed(curve: Curve, digits: int, begin_ns: int, end_ns: int) -> dict[str, Any]:
-    """A curve for the page: times in steps of 0.1 ms, each from the one before; values as whole numbers."""
+def packed(curve: Curve, digits: int, zero_ns: int, begin_ns: int, end_ns: int) -> dict[str, Any]:
+    """A curve for the page: times since `zero_ns` in steps of 0.1 ms, each from the one before; whole numbers."""
     t_ns, values = thinned(curve.series, begin_ns, end_ns)
-    steps = np.diff((t_ns - begin_ns) // (MS // 10), prepend=0)
+    steps = np.diff((t_ns - zero_ns) // (MS // 10), prepend=0)
     scaled = np.round(values * 10**digits)
     numbers: list[int | None] = [None if np.isnan(value) else int(value) for value in scaled]
     return {"name": curve.name, "quiet": curve.quiet, "dt": steps.tolist(), "v": numbers}
@@ -183,8 +183,8 @@ def packed(curve: Curve, digits: int, begin_ns: int, end_ns: int) -> dict[str, A
 # ---------------------------------------------------------------- lanes
 
 
-def lanes(record: Record) -> list[dict[str, Any]]:
-    """States over time: for each lane spans of [from s, to s, label, kind]. Kinds are colours of the page."""
+def lanes(record: Record, zero_ns: int) -> list[dict[str, Any]]:
+    """States over time: for each lane spans of [from s, to s, label, kind], since `zero_ns`. Kinds are colours."""
     found: list[dict[str, Any]] = []
 
     def add(name: str, spans: list[tuple[int, int, str, str]]) -> None:
@@ -192,8 +192,7 @@ def lanes(record: Record) -> list[dict[str, Any]]:
             if many := spans[LANE_SPANS:]:
                 spans = [*spans[:LANE_SPANS], (many[0][0], many[-1][1], f"{len(many)} more changes", many[-1][3])]
             shown = [
-                [round((b - record.begin_ns) / 1e9, 4), round((e - record.begin_ns) / 1e9, 4), text, kind]
-                for b, e, text, kind in spans
+                [round((b - zero_ns) / 1e9, 4), round((e - zero_ns) / 1e9, 4), text, kind] for b, e, text, kind in spans
             ]
             found.append({"name": name, "spans": shown})
 
@@ -229,6 +228,7 @@ def lanes(record: Record) -> list[dict[str, Any]]:
     ]
     add("missing", sorted(silent))
     add("intruder", [(i.begin_ns, i.end_ns, Reason.INTRUDER.words, "bad") for i in record.second_senders])
+    add("second car", [(i.begin_ns, i.end_ns, "two cars", "bad") for i in record.second_cars])
     add("bus errors", [(int(t), int(t), "error frame", "bad") for t in record.error_ns[:LANE_SPANS]])
     return found
 

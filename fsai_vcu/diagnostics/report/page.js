@@ -2,7 +2,7 @@
 // Draws the plots of the page from the data inside it. Times are seconds since the log's first frame.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const whole = [0, Math.max(data.seconds, 0.001)];
+  const whole = [data.extent[0], Math.max(data.extent[1], data.extent[0] + 0.001)];
   let view = whole.slice();
   let cursor = null, pinned = null; // pinned: the time that was chosen in the story
   let chosen = null; // [from, to] while a range is being dragged

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from html import escape
 from importlib.resources import files
 from typing import Any, Final
@@ -16,7 +16,7 @@ from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.render import before, extent, seconds
 from fsai_vcu.diagnostics.report.curves import Plot, drawing, figures, lanes, packed, plots, plots_of, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics
-from fsai_vcu.diagnostics.verdict import Verdict
+from fsai_vcu.diagnostics.verdict import Judged, Verdict
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3
@@ -24,10 +24,9 @@ _ALSO: Final = 3
 Chosen = dict[str, list[tuple[str, Series]]]
 
 
-def page_of(
-    record: Record, buses: Sequence[BusStatistics], verdict: Verdict, name: str, chosen: Chosen | None = None
-) -> str:
-    """The page of a log that is sorted, measured and judged; `chosen`: signals to be plotted too, by unit."""
+def page_of(judged: Judged, name: str, chosen: Chosen | None = None) -> str:
+    """The page of a log, or of a part of it; `chosen`: signals to be plotted too, by unit."""
+    record, verdict, bus = judged.record, judged.verdict, judged.bus
     style, script = _part("page.css"), _part("page.js")
     policy = (
         f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:;"
@@ -35,7 +34,6 @@ def page_of(
     )
     drawn = [*plots_of(chosen or {}), *plots(record)]
     story = verdict.explanation
-    bus = next(bus for bus in buses if bus.channel == record.channel)
     return "".join(
         (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
@@ -67,18 +65,20 @@ def _hash(text: str) -> str:
 
 
 def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
+    zero_ns = int(story.heading["begin_ns"])
+    times_ns = zero_ns, record.begin_ns, record.end_ns
     data = {
-        "seconds": round((record.end_ns - record.begin_ns) / 1e9, 4),
+        "extent": [round(seconds(story, t_ns), 4) for t_ns in (record.begin_ns, record.end_ns)],
         "plots": [
             {
                 "slug": plot.slug,
                 "unit": plot.unit,
                 "digits": plot.digits,
-                "curves": [packed(curve, plot.digits, record.begin_ns, record.end_ns) for curve in plot.curves],
+                "curves": [packed(curve, plot.digits, *times_ns) for curve in plot.curves],
             }
             for plot in drawn
         ],
-        "lanes": lanes(record),
+        "lanes": lanes(record, zero_ns),
         "marks": [[round(seconds(story, i.t_ns), 4), i.kind.words, not i.planned] for i in story.incidents],
     }
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,6 +1,6 @@
-"""One judgement of a log, shared by check, stats, explain, report and monitor: findings, and their exit status.
+"""One judgement of a log, shared by check, stats, explain, report, monitor, compare: findings, and their exit status.
 
-verdict = judge_log(record, buses)            # explain.Record, statistics.measure
+record, buses, verdict = judged(frames)       # explain.Record and statistics.measure of the part that is asked for
 verdict.explanation                           # explain.explained
 verdict.findings                              # the gravest first, each with its moment and what to do
 verdict.status, verdict.line()                # 0 only where everything is known and nothing is wrong
@@ -8,35 +8,35 @@ verdict.status, verdict.line()                # 0 only where everything is known
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.endings import REBOOT_NS
-from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
+from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
+from fsai_vcu.diagnostics.explain.incident import ALWAYS, TimeRange, within
 from fsai_vcu.diagnostics.explain.record import Record, ms
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
     AS_STATE,
-    AS_SWITCH,
     CAR_TORQUE_MAX,
     DRIVING,
-    EMERGENCY,
-    FINISHED,
     GO,
     PULSES,
     READY,
     STATUS,
     label,
 )
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge
+from fsai_vcu.diagnostics.log.frames import Frames, straightened
+from fsai_vcu.diagnostics.log.part import Part
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -76,22 +76,6 @@ class Verdict:
     def status(self) -> int:
         """The exit status of every verb that judges a log."""
         return 0 if self.ok else 1
-
-    def between(self, from_s: float | None, to_s: float | None) -> Verdict:
-        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays, and causes
-        keep their chains."""
-        low, high = -math.inf if from_s is None else from_s, math.inf if to_s is None else to_s
-
-        def inside(t_ns: int | None) -> bool:
-            return t_ns is None or low <= (t_ns - self.begin_ns) / S <= high
-
-        explanation = replace(
-            self.explanation,
-            timeline=lambda: (event for event in self.explanation.events if inside(event.t_ns)),
-            incidents=tuple(incident for incident in self.explanation.incidents if inside(incident.t_ns)),
-        )
-        findings = tuple(finding for finding in self.findings if inside(finding.t_ns))
-        return replace(self, explanation=explanation, findings=findings)
 
     def unread(self, status: int, lost: str) -> Verdict:
         """The same of a log that could not be read whole, where that is the status of reading it. `lost`: a sentence on
@@ -150,16 +134,59 @@ class Verdict:
         }
 
 
-def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
-    """Every finding on a log. `buses`: the figures of each of its channels."""
-    explanation = explained(record)
+class Judged(NamedTuple):
+    """The frames of a part of a log, sorted and measured; and the verdict on it."""
+
+    record: Record
+    buses: list[BusStatistics]
+    verdict: Verdict
+
+    @property
+    def bus(self) -> BusStatistics:
+        """The figures of the record's own channel."""
+        return next(bus for bus in self.buses if bus.channel == self.record.channel)
+
+
+def judged(
+    frames: Frames,
+    revision: str | None = None,
+    databases: Databases | None = None,
+    part: Part | None = None,
+    *,
+    bitrate: int | None = None,
+    begin_ns: int | None = None,
+) -> Judged:
+    """All frames of a log, measured and judged; of those of a part with what came before and behind it as causes.
+
+    Figures are of the part alone; of what happened, what has a moment in it counts. begin_ns: when the log began, where
+    its first frame is not among these. Raises ValueError for no frame.
+    """
+    part = part or Part()
+    frames = part.always().of(frames)
+    record = whole = Record(frames, revision, databases)
+    whole.begin_ns = whole.begin_ns if begin_ns is None else begin_ns
+    part_ns = part.bounds(whole.begin_ns)
+    if part_ns != ALWAYS:
+        t_ns, back_ns = straightened(frames.t_ns)
+        inside = (t_ns >= part_ns[0]) & (t_ns <= part_ns[1])
+        set_back_ns = int(back_ns[: inside.argmax()].sum())  # before the part: it has the times of the whole
+        frames = frames.at(frames.t_ns + set_back_ns).only(inside)
+        record = Record(frames, whole.revision.name, databases)
+    buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate)
+    return Judged(record, buses, _verdict(whole, part_ns, record, buses))
+
+
+def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[BusStatistics]) -> Verdict:
+    """Every finding on a part of a log; `record` and `buses`: of its frames alone."""
+    explanation = explained(whole, part_ns)
+    senders, cars = ([*within(part_ns, found)] for found in (whole.second_senders, whole.second_cars))
     findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
     remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
-    for one in record.second_senders:
+    for one in senders:
         where = (one.begin_ns, remedy, one.can_ids, record.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
-    shared = {can_id for other in record.second_senders for can_id in other.can_ids}
-    for mixed in record.second_cars:
+    shared = {can_id for other in senders for can_id in other.can_ids}
+    for mixed in cars:
         remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
         where = (mixed.begin_ns, remedy, mixed.can_ids, record.channel)
         findings.append(Finding("problem", "intruder", mixed.sentence, *where))
@@ -174,7 +201,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
 
     def told(bus: BusStatistics, finding: Finding) -> bool:
         if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
-            if record.second_cars and bus.channel == record.channel:
+            if cars and bus.channel == record.channel:
                 return True
             return bus.handshake.unanswered + bus.handshake.above_100_ms <= echoes
         begun_ns = finding.t_ns or 0
@@ -195,13 +222,13 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
-    if not record.second_cars:
-        findings += [*_in_passing(record), *_repeating(record, [incident.t_ns for incident in explanation.incidents])]
+    if not cars:
+        findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
-    return Verdict(record.begin_ns, explanation, tuple(findings), (*_unknown(record), *_not_judged(record, buses)))
+    return Verdict(whole.begin_ns, explanation, tuple(findings), (*_unknown(record), *_not_judged(record, buses)))
 
 
-def _in_passing(record: Record) -> Iterator[Finding]:
+def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
     """What the car did beside what incidents are made of: the first of each kind, and how often."""
     state = record.series(AS_STATE)
     found: list[tuple[int, str, str, int]] = []
@@ -209,9 +236,10 @@ def _in_passing(record: Record) -> Iterator[Finding]:
         spans = record.series(signal).spans
         drives = [state.sampled(spans.begin_ns + later_ns) == DRIVING for later_ns in (0, COMMS_LOST_NS)]
         rows = np.flatnonzero(np.logical_and.reduce([spans.values == 0, ~spans.apart[:-1], *drives]))
-        for span in spans[int(rows[0]) : int(rows[0]) + 1] if len(rows) else ():
+        falls = [*within(part_ns, (spans[row] for row in rows.tolist()))]
+        for span in falls[:1]:
             words = f"{signal.name} falls to 0 in AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and the state stays"
-            found.append((span.begin_ns, kind, words, len(rows)))
+            found.append((span.begin_ns, kind, words, len(falls)))
     off = np.array([gap.end_ns or 0 for gap in record.gaps(STATUS, REBOOT_NS)])  # switched off: it has to start anew
     for signal in (AS_STATE, *PULSES):
         t_ns, values = record.series(signal).t_ns, record.series(signal).values
@@ -223,6 +251,7 @@ def _in_passing(record: Record) -> Iterator[Finding]:
         rows = np.flatnonzero(was[:-1] & (values[1:] <= low[:-1])) + 1
         rows = rows[record.series(signal).sampled(t_ns[rows] + OUT_OF_ORDER_NS) <= low[rows - 1]]
         rows = rows[~(np.abs(t_ns[rows, None] - off) < REBOOT_NS).any(axis=1)]
+        rows = rows[(t_ns[rows] >= part_ns[0]) & (t_ns[rows] <= part_ns[1])]
         if len(rows):
             before, after = (label(signal, float(value)) for value in values[rows[0] - 1 : rows[0] + 1])
             words = f"the VCU started anew: {signal.name} {before} → {after}"
@@ -234,27 +263,18 @@ def _in_passing(record: Record) -> Iterator[Finding]:
             yield Finding("note", kind, f"{words}{more}", begin_ns, remedy, channel=record.channel)
 
 
-def _repeating(record: Record, told_ns: list[int]) -> Iterator[Finding]:
-    """0x520 that comes, and whose HANDSHAKE stands though it was echoed: it does not say how the car is. The first, and
-    how many; neither after a drive, nor what an incident at `told_ns` has for its cause. Where the car does not drive
-    itself (ASMS off), or has not toggled yet, a VCU may let HANDSHAKE stand."""
-    toggle_ns, _, waited_ns, echoed = record.answers
-    times, told = record.times(STATUS), np.array(told_ns, np.int64)
-    ends_ns = np.append(toggle_ns[1:], times[-1:])[: len(toggle_ns)]
-    stood_ns = ends_ns - toggle_ns - waited_ns
-    spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]  # an adapter's batch is one sign of life
-    came = np.searchsorted(spread, ends_ns) - np.searchsorted(spread, toggle_ns)
-    states, asms = (record.series(signal).sampled(ends_ns - 1) for signal in (AS_STATE, AS_SWITCH))
-    due = (asms != 0) & (np.arange(len(states)) > 0) & ~np.isin(states, (EMERGENCY, FINISHED))
-    due |= np.isin(states, (READY, DRIVING))
-    rows = np.flatnonzero(echoed & due & (np.minimum(stood_ns, came * PERIOD_NS) >= COMMS_LOST_NS))
-    found = [row for row in rows if not ((told >= toggle_ns[row]) & (told <= ends_ns[row] + AT_ONCE_NS)).any()]
-    for row in found[:1]:
-        begin_ns = int(toggle_ns[row])
+def _frozen(record: Record, part_ns: TimeRange, explanation: Explanation) -> Iterator[Finding]:
+    """0x520 that comes and repeats itself: the first time, and how many; not what an incident has for its cause."""
+    told_ns = [incident.t_ns for incident in explanation.incidents]
+    found = [
+        span
+        for span in within(part_ns, record.frozen)
+        if not any(span.begin_ns <= t_ns <= span.end_ns + AT_ONCE_NS for t_ns in told_ns)
+    ]
+    for span in found[:1]:
         more = f", {len(found)} times in all" if len(found) > 1 else ""
-        state = label(AS_STATE, record.at(AS_STATE, begin_ns))
-        text = f"0x520 repeats itself for {ms(int(stood_ns[row]))} in {state}: its HANDSHAKE stands{more}"
-        yield Finding("problem", "frozen", text, begin_ns, CAUSES["status_frozen"].remedy, (STATUS,), record.channel)
+        where = (span.begin_ns, CAUSES["status_frozen"].remedy, (STATUS,), record.channel)
+        yield Finding("problem", "frozen", f"{frozen_words(record, span)}{more}", *where)
 
 
 def _of_incident(incident: Incident) -> Finding:
@@ -373,11 +393,11 @@ def _unknown(record: Record) -> Iterator[str]:
     elif STATUS in record.wrong_length and not record.has(STATUS):
         yield "every 0x520 has the wrong length, so the car's state is not known"
     elif not record.has(STATUS):
-        yield "no 0x520 in the log, so the car's state is not known: is this the car's bus, and was the car on?"
+        yield "no 0x520 was received, so the car's state is not known: is this the car's bus, and was the car on?"
     elif not len(record.series(AS_STATE)):
         yield "the database has no AS_STATE in 0x520, so the car's state is not known: it is not the car's"
     elif record.end_ns - record.begin_ns < SHORT_NS:
-        yield "the log is shorter than a second"
+        yield "it is shorter than a second"
     elif not record.ai_speaks:
         yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
     seen = told_revision(record.frames)

@@ -20,10 +20,9 @@ from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
 from fsai_hil.evidence.work import Progress, spread
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.diagnostics.explain import IncidentKind, Record
+from fsai_vcu.diagnostics.explain import IncidentKind
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.statistics.measure import measure
-from fsai_vcu.diagnostics.verdict import judge_log
+from fsai_vcu.diagnostics.verdict import judged
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS
 
@@ -134,8 +133,7 @@ def explained(seed: int, index: int) -> Explained:
         LogFrame(f.t_ns, "vcan0", f.can_id, f.data, extended=f.extended, remote=f.remote, error=f.error)
         for f in rig.on_frame
     )
-    record = Record(frames)
-    verdict = judge_log(record, measure(frames, record.decoder, revision=record.revision.name))
+    verdict = judged(frames).verdict
     incidents = [incident for incident in verdict.explanation.incidents if incident.kind is not IncidentKind.MISMATCH]
     named = tuple(incident.candidates[0].slug for incident in incidents)
     others = tuple(one.slug for incident in incidents for one in incident.candidates[1:])
