@@ -25,6 +25,7 @@ from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = "fsai-vcu dump can0,520:7FF,510:7FF,#FFFFFFFF -t z"
+_COLUMNS = 150  # of a short line
 _TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
 _COLORS: Final = {"error": b"\x1b[31m", "ai": b"\x1b[32m", "vcu": b"\x1b[36m", "unknown": b"\x1b[33m"}
 _NO_COLOR: Final = b"\x1b[0m"
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="only frames that differ from their message's last one, by more than HANDSHAKE",
     )
-    add("--short", action="store_true", help="signals that are not 0 alone: a line of 0x520 in 150 columns")
+    add("--short", action="store_true", help="signals that are not 0 alone, in 150 columns; X! is X_FAULT, +N: N more")
     add("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
     add_part_arguments(parser, signals=True)
@@ -153,6 +154,8 @@ class _Lines:
         # A line of a log with signals behind it is none that canplayer or check would read.
         bare = self._args.log_format and self._args.signals is None and not self._args.short
         tails = [b"\n"] * len(frames) if self._args.no_signals or bare else self._decoding.writer.tails(frames)
+        if self._args.short:
+            tails = [_fitting(tail, _COLUMNS - len(head)) for head, tail in zip(heads, tails, strict=True)]
         if self._color:
             colors = self._colors(frames)
             heads = [color + head if color else head for color, head in zip(colors, heads, strict=True)]
@@ -200,3 +203,12 @@ class _Lines:
             _COLORS["error" if flags & ERROR else "unknown"] if flags & ERROR or known == -1 else own.get(can_id, b"")
             for known, can_id, flags in zip(which, frames.can_id.tolist(), frames.flags.tolist(), strict=True)
         ]
+
+
+def _fitting(tail: bytes, columns: int) -> bytes:
+    """A line's end with so many of its words as there is room for, and how many more there are."""
+    if len(tail) <= columns + 1:
+        return tail
+    words = tail.split()
+    ends = (b" " + b" ".join(words[:count]) + b" +%d\n" % (len(words) - count) for count in range(len(words), -1, -1))
+    return next((end for end in ends if len(end) <= columns + 1), b"\n")

@@ -164,13 +164,30 @@ def test_0x520_of_every_state_and_fault_fits_150_columns(
     down = {"op_state": OpState.OP_FAULT, "ts_state": TsState.TS_FAULT, "ebs_state": EbsState.EBS_TRIGGERED}
     for cause, fault in enumerate(FAULT_NAMES, start=1):
         broken = {"as_state": AsState.EMERGENCY_BRAKE, "fault": True, "faults": Faults(**{fault: True})}
-        hot = low if fault == "bms" else {}
-        sent.append(VcuStatus(**on, **down, **broken, **hot, shutdown_cause=ShutdownCause(cause)))  # type: ignore[arg-type]
+        sent.append(VcuStatus(**on, **down, **broken, **low, shutdown_cause=ShutdownCause(cause)))  # type: ignore[arg-type]
     frames = [Codec(revision("2026")).encode(each) for each in sent]
     (tmp_path / "run.log").write_text("".join(f"(1.0) vcan0 520#{frame.data.hex()}\n" for frame in frames))
     assert main(["dump", "--short", "--revision", "2026", str(tmp_path / "run.log")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(sent) and max(map(len, lines)) <= 150, max(lines, key=len)
+    assert not [line for line in lines if "+" in line], "all of it is there"
+
+
+@pytest.mark.parametrize("times", [[], ["-t", "a"]])
+def test_0x520_with_many_flags_is_cut_to_150_columns(
+    tmp_path: Path, times: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every combination of faults; with and without everything else that a flag can say."""
+    words = [others | faults << 40 for others in (0, 0x3_FF33_FF33) for faults in range(1 << 11)]
+    payloads = [word.to_bytes(8, "little").hex() for word in words]
+    (tmp_path / "run.log").write_text("".join(f"(1.0) vcan0 520#{payload}\n" for payload in [*payloads, 16 * "F"]))
+    assert main(["dump", "--short", "--revision", "2026", *times, str(tmp_path / "run.log")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(payloads) + 1 and 140 < max(map(len, lines)) <= 150, max(lines, key=len)
+    for faults, line in enumerate(lines[: 1 << 11]):
+        words = line.partition("[8]")[2].split()[8:]
+        left_out = int(words.pop()) if words and words[-1].startswith("+") else 0
+        assert len(words) + left_out == faults.bit_count()
 
 
 def test_times_with_the_date_are_local_and_read_back(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -221,7 +222,16 @@ def test_a_second_sender_on_the_ai_computers_ids_is_named() -> None:
     ]
     frames = frames_of(sorted(twice, key=lambda frame: frame.t_ns))
     picture = seen(good, frames)
-    assert [text for text in picture.link if text.startswith("another sender uses the AI computer's ids: 0x510")]
+    assert [text for text in picture.link if text.startswith("somebody else sends on the AI computer's ids: 0x510")]
+
+
+def test_a_second_car_is_named_in_one_line() -> None:
+    good = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
+    twice = good.only(good.can_id == 0x520)
+    both = joined([good, replace(twice, t_ns=twice.t_ns + 4 * MS)])
+    picture = seen(both.only(np.argsort(both.t_ns, kind="stable")))
+    (told,) = [text for text in picture.link if text.startswith("somebody else sends the car's messages: 0x520")]
+    assert "frames a second" in told
 
 
 def test_a_missing_echo_is_shown_while_it_is_awaited() -> None:

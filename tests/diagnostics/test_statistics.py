@@ -130,7 +130,14 @@ def test_a_frame_of_the_wrong_length_is_a_problem_with_its_count() -> None:
 
 def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
     frames = sorted([*NOMINAL, LogFrame(5 * MS, "can0", 0x700, b"\x00", sent=True)], key=lambda f: f.t_ns)
-    assert "sent 1 times by this computer" in only(frames, "reserved").text
+    found = only(frames, "reserved")
+    assert "sent 1 times by this computer" in found.text and found.t_ns == 5 * MS
+
+
+def test_a_remote_frame_is_a_problem_of_its_moment() -> None:
+    asked = LogFrame(55 * MS, "can0", 0x513, remote=True, length=2)
+    found = only(sorted([*NOMINAL, asked], key=lambda f: f.t_ns), "intruder")
+    assert "1 remote frames" in found.text and found.t_ns == 55 * MS
 
 
 def test_an_unknown_id_is_noted_and_does_not_change_the_verdict() -> None:

@@ -231,6 +231,27 @@ def test_a_status_that_repeats_itself_before_a_drive_is_told() -> None:
     assert ("frozen" in kinds(frozen), "frozen" in kinds(waiting.frames)) == (True, False)
 
 
+@pytest.mark.parametrize("bit", [0, 1])
+@pytest.mark.parametrize(("length_s", "kind"), [(2, "frozen"), (7, "refusal_to_start")])
+def test_a_status_frozen_from_the_first_frame_on_is_told(length_s: int, kind: str, bit: int) -> None:
+    waiting = branch(off(), lambda run: None, 8.0).frames
+    waiting = after(waiting, int(waiting.t_ns[-1]) - length_s * S)
+    word = next(int(word) for word in waiting.word[waiting.can_id == 0x520] if int(word) & 1 == bit)
+    frozen = patched(waiting, 0x520, 2**64 - 1, word, 0, 2**62)
+    for frames in (frozen, patched(frozen, 0x510, 1, bit, 0, 2**62)):
+        (found,) = [one for one in judged(frames).findings if one.severity == "problem"]
+        assert found.kind == kind and "the VCU hung" in found.text
+    comes_up = patched(frozen, 0x520, 0xF << 16, 0, 0, 2**62)
+    for allowed in (
+        waiting,
+        patched(frozen, 0x510, 1, 1 - bit, 0, 2**62),  # the VCU waits for an echo
+        patched(frozen, 0x520, 1 << 45, 1 << 45, 0, 2**62),  # it says that it misses it
+        frozen.only(~np.isin(frozen.can_id, AI_IDS)),
+        *([comes_up] if bit == 0 else []),  # the first HANDSHAKE that it sets is 1
+    ):
+        assert not [one for one in judged(allowed).findings if "the VCU hung" in one.text]
+
+
 @pytest.mark.parametrize("batch_ms", [100, 300])
 def test_batches_of_an_adapter_are_no_frozen_status(drive: Frames, batch_ms: int) -> None:
     held_back = replace(drive, t_ns=(drive.t_ns // (batch_ms * MS) + 1) * batch_ms * MS)

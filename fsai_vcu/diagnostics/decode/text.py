@@ -104,7 +104,7 @@ class SignalText:
 _SHORTER: Final = tuple(
     (re.compile(long), short)
     for long, short in (
-        ("SHUTDOWN_CAUSE (.*?)(_FAULT|_REQUEST)?$", r"CAUSE \1"),
+        ("SHUTDOWN_CAUSE (.*?)(_FAULT|_REQUEST)?$", r"CAUSE=\1"),
         ("SHUTDOWN_REQUEST", "SHUTDOWN"),
         ("TS_SHUTDOWN", "TS_SHUT"),
         ("EBS_TRIGGERED", "EBS_TRIG"),
@@ -124,6 +124,8 @@ _SHORTER: Final = tuple(
         ("OFFBOARD_CHARGER", "CHARGER"),
         ("PLAUSIBILITY", "PLAUS"),
         ("MISSION_STATUS", "MISSION"),
+        ("AI_ESTOP_REQUEST", "AI_ESTOP"),
+        ("_FAULT$", "!"),
     )
 )
 

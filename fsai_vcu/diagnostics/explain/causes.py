@@ -182,8 +182,9 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         "the VCU's own log",
     ),
     "status_frozen": (
-        "0x520 repeated itself: what the car really did was not seen, and its HANDSHAKE could not be answered",
-        "have the VCU's software looked at; look for a gateway or a replay that repeats old frames",
+        "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen",
+        "have the VCU's software looked at; look for a gateway or a replay that repeats old frames; where it"
+        " has been so from the first frame on, see whether the VCU hears the AI computer (its CAN plug)",
         "the VCU's own log",
     ),
     "frames_wrong": (

@@ -70,7 +70,7 @@ def frozen_words(record: Record, span: Span) -> str:
     """Of one of the record's stretches with a frozen 0x520."""
     state = label(sig.AS_STATE, record.at(sig.AS_STATE, span.begin_ns))
     length = ms(span.end_ns - span.begin_ns)
-    return f"0x520 repeats itself for {length} in {state}: its HANDSHAKE stands, though it is echoed"
+    return f"0x520 repeats itself for {length} in {state}, HANDSHAKE stands though it is echoed"
 
 
 def error_text(record: Record, t_ns: int) -> str:

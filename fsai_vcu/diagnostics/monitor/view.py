@@ -284,9 +284,9 @@ class _Moment:
 
     def _link(self, messages: tuple[MessagePicture, ...]) -> Iterator[str]:
         """What is wrong on the bus itself, the gravest first."""
-        for other in self._record.second_senders:
-            if other.end_ns > self._now_ns - WINDOW_NS:
-                yield f"another sender uses the AI computer's ids: {other.words}"
+        for others in (self._record.second_senders, self._record.second_cars):
+            recent = [other.sentence for other in others if other.end_ns > self._now_ns - WINDOW_NS]
+            yield from recent[-1:]
         lost = [m for m in messages if not m.extended and m.can_id in AI_IDS and m.freshness is Freshness.LOST]
         if len(lost) == len(AI_IDS):
             age_s = min(m.age_s or 0.0 for m in lost)

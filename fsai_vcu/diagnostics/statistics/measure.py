@@ -99,7 +99,9 @@ class MessageStatistics:
     wrong_lengths: Mapping[int, int]
     wrong_length_at_s: float | None  # of the first
     remote: int
+    remote_at_s: float | None  # of the first
     sent: int
+    sent_at_s: float | None
     expected_ms: float | None
     interval_ms: TimeSpread
     mean_ms: float | None
@@ -276,7 +278,7 @@ def _measure_message(
     ordered = np.sort(intervals)
     typical_ns = expected_ns or quantile(ordered, 0.5) or 0  # type: ignore[arg-type]
     timed = duration_ns > 0 and typical_ns > 0
-    remote = (flags & REMOTE) != 0
+    remote, sent = (flags & REMOTE) != 0, (flags & SENT) != 0
     no_pauses = ordered[: np.searchsorted(ordered, _LOST_PERIODS * typical_ns)]
     missing = math.floor(_MISSING_PERIODS * typical_ns)
     strange: Ints | list[int] = np.flatnonzero((length != layout.length) & ~remote) if layout is not None else []
@@ -293,7 +295,9 @@ def _measure_message(
         wrong_lengths=dict(zip(lengths.tolist(), counts.tolist(), strict=True)),
         wrong_length_at_s=int(t_ns[strange[0]]) / S if len(strange) else None,
         remote=int(remote.sum()),
-        sent=int(((flags & SENT) != 0).sum()),
+        remote_at_s=int(t_ns[remote.argmax()]) / S if remote.any() else None,
+        sent=int(sent.sum()),
+        sent_at_s=int(t_ns[sent.argmax()]) / S if sent.any() else None,
         expected_ms=expected_ns / MS if expected_ns else None,
         interval_ms=TimeSpread.of(ordered if timed else ordered[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
@@ -477,10 +481,10 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
         text = f"{name} must have {message.expected_length} bytes: {which}"
         yield _finding(True, "wrong-length", text, can_id, message.wrong_length_at_s)
     if not message.extended and message.remote and can_id in AI_IDS:
-        yield _finding(True, "intruder", f"{name}: {message.remote} remote frames", can_id)
+        yield _finding(True, "intruder", f"{name}: {message.remote} remote frames", can_id, message.remote_at_s)
     if not message.extended and message.sent and can_id in RESERVED_IDS:
         text = f"{name}: sent {message.sent} times by this computer, which must not"
-        yield _finding(True, "reserved", text, can_id)
+        yield _finding(True, "reserved", text, can_id, message.sent_at_s)
     expected_ms, gap_ms, p50_ms = message.expected_ms, message.longest_gap_ms, message.interval_ms.p50_ms
     if expected_ms is None or gap_ms is None or p50_ms is None:
         return

@@ -274,7 +274,8 @@ def _frozen(record: Record, part_ns: TimeRange, explanation: Explanation) -> Ite
     for span in found[:1]:
         more = f", {len(found)} times in all" if len(found) > 1 else ""
         where = (span.begin_ns, CAUSES["status_frozen"].remedy, (STATUS,), record.channel)
-        yield Finding("problem", "frozen", f"{frozen_words(record, span)}{more}", *where)
+        text = f"{frozen_words(record, span)}: the VCU hung, or its 0x520 froze{more}"
+        yield Finding("problem", "frozen", text, *where)
 
 
 def _of_incident(incident: Incident) -> Finding:

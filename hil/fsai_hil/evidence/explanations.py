@@ -86,10 +86,13 @@ class _Log(list[Frame]):
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """One log. `named`: the first cause of each incident; `expected`: what may be named first, "" for nothing."""
+    """One log. `named`: the first cause of each incident; `expected`: what may be named first, "" for nothing; `also`:
+    what may be named besides, as what the AI computer did before the car stopped itself.
+    """
 
     case: Case
     expected: frozenset[str]
+    also: frozenset[str]
     named: tuple[str, ...]
     others: tuple[str, ...]
     ok: bool
@@ -97,7 +100,7 @@ class Explained:
     @property
     def grade(self) -> str:
         named = self.named if PLANNED in self.expected else [slug for slug in self.named if slug != PLANNED]
-        if self.expected.issuperset(named or ("",)):
+        if (self.expected | self.also).issuperset(named or ("",)) and self.expected.intersection(named or ("",)):
             return "right"
         if self.expected.intersection(named):
             return "partly"
@@ -137,7 +140,8 @@ def explained(seed: int, index: int) -> Explained:
     incidents = [incident for incident in verdict.explanation.incidents if incident.kind is not IncidentKind.MISMATCH]
     named = tuple(incident.candidates[0].slug for incident in incidents)
     others = tuple(one.slug for incident in incidents for one in incident.candidates[1:])
-    return Explained(case, _expected(end, reasons, why), named, others, verdict.ok)
+    also = _asked(reasons["stopping"]) if end in (End.SELF, End.OFF) and "stopping" in reasons else NOTHING
+    return Explained(case, _expected(end, reasons, why), also, named, others, verdict.ok)
 
 
 def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset[str]:
@@ -147,10 +151,16 @@ def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset
         return NOTHING | {Reason.AS_STATE_UNKNOWN.slug, "frames_wrong"}
     if end in (End.SELF, End.OFF):
         return frozenset().union(*(VCU_WHY.get(each, frozenset()) for each in why))
-    words = reasons.get("emergency" if end is End.ESTOP else "stopping", "")
+    if end is End.ESTOP:
+        return _asked(reasons.get("emergency", ""), frozenset({"not_on_the_bus", PLANNED}))
+    return _asked(reasons.get("stopping", ""))
+
+
+def _asked(words: str, unseen: frozenset[str] = SILENT_STOP) -> frozenset[str]:
+    """The causes that are right where the bridge stopped the car for this reason; `unseen`: where no frame shows it."""
     reason = next((reason for reason in Reason if words.startswith(reason.words)), None)
     if reason is None or (reason not in ON_THE_BUS and reason not in ALIKE):
-        return frozenset({"not_on_the_bus", PLANNED}) if end is End.ESTOP else SILENT_STOP
+        return unseen
     return ALIKE.get(reason, frozenset({reason.slug}))
 
 
