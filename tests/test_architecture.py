@@ -35,7 +35,7 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.verdict": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "statistics")}
+    f"{DIAGNOSTICS}.verdict": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
     | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}

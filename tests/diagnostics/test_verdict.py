@@ -128,7 +128,12 @@ def test_a_database_that_is_not_the_cars_is_unknown(drive: Frames, tmp_path: Pat
     text = 'VERSION ""\n\nBU_: A\n\nBO_ 1312 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "" A\n'
     (tmp_path / "other.dbc").write_text(text)
     other = load_databases([tmp_path / "other.dbc"])
-    assert judged_frames(drive, databases=other).verdict.line().startswith("UNKNOWN: the database has no AS_STATE")
+    verdict = judged_frames(drive, databases=other).verdict
+    (named,) = [one.text for one in verdict.findings if one.kind == "unknown"]
+    assert "identifiers are in no database: " in named and "0x510, 0x511" in named, "one line"
+    (note,) = verdict.explanation.problems
+    assert note.startswith("the database does not name 0x510, 0x511"), "they are in the log"
+    assert verdict.line().startswith("UNKNOWN: the database has no AS_STATE")
 
 
 @pytest.mark.parametrize("held_ms", [200, 600, 2000])

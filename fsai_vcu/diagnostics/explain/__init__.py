@@ -33,7 +33,7 @@ from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
@@ -109,14 +109,16 @@ def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:
         yield f"what is told is of the part from {low_s:.3f} s to {high_s:.3f} s; causes may lie before it"
     if STATUS in record.wrong_length and not record.has(STATUS):
         yield "every 0x520 of this log has the wrong length: there is no AS state, switch or fault to tell of"
-    elif not record.has(STATUS):
+    elif record.lacks(STATUS):
         yield "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
-    absent = [f"0x{can_id:03X}" for can_id in AI_IDS if not record.has(can_id)]
+    absent = [f"0x{can_id:03X}" for can_id in AI_IDS if record.lacks(can_id)]
     if len(absent) == len(AI_IDS):
         yield "no frame of the AI computer (0x510 to 0x514): what it asked for is not known"
     elif absent:
         yield f"the AI computer never sends {', '.join(absent)}"
-    if not record.has(0x525):
+    if unnamed := [f"0x{can_id:03X}" for can_id in (*AI_IDS, *VCU_IDS) if can_id in record.unknown_ids]:
+        yield f"the database does not name {', '.join(unnamed)}: what they say is not known; is it the car's?"
+    if record.lacks(0x525):
         yield "no 0x525: whether the wheels turned is not known"
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))

@@ -255,6 +255,10 @@ class Record:
         """Whether the log has that message, whole."""
         return can_id in self._rows
 
+    def lacks(self, can_id: int) -> bool:
+        """Whether no whole frame of that message came; one that the database does not name did come."""
+        return not self.has(can_id) and can_id not in self.unknown_ids
+
     @property
     def ai_speaks(self) -> bool:
         """Whether the log has any whole message of the AI computer."""

@@ -328,6 +328,9 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
     if span is None and record.wrong_length.get(sig.STATUS):
         yield Obstacle(f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing")
         return
+    if span is None and not record.lacks(sig.STATUS):
+        yield Obstacle("the database has no AS_STATE in 0x520", remedy="use the car's own (no --dbc), or --revision")
+        return
     if span is None:
         remedy = "LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)"
         yield Obstacle("no 0x520 from the car yet", remedy=remedy)

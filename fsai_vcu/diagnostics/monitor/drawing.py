@@ -10,6 +10,7 @@ from rich.text import Text
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.monitor import snapshot
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture
+from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import KMH_PER_MPS
 
 STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
@@ -108,7 +109,8 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     styles = {None: "", True: GOOD, False: WARN}
     parts = [part for name, on in switches for part in (f"  {name} ", (snapshot.on_off(on), styles[on]))]
     asked = [word for word in (picture.mission_status, picture.direction) if word]
-    ai = f"sends {' '.join(asked)}" if asked else "is silent"
+    heard = any(m.can_id in AI_IDS and not m.extended and m.freshness is Freshness.FRESH for m in picture.messages)
+    ai = f"sends {' '.join(asked)}" if asked else "sends what the database does not name" if heard else "is silent"
     estop = [("   ESTOP_REQUEST 1", BAD)] if picture.estop_request else []
     names = {"STEERING_STATUS": "steering ", "STATUS_BRK": "brakes ", "STATUS_EBS": "STATUS_EBS "}
     states = "  ".join(f"{names.get(name, '')}{word}" for name, word in picture.states.items())

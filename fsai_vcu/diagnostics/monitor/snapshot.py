@@ -156,7 +156,7 @@ def plain_line(picture: Picture, clock: str, signals: Sequence[History] = ()) ->
     """Everything that matters in one line, for a log or a terminal that can do no more."""
     words = [
         clock,
-        picture.as_state or f"no 0x520{picture.last_state}",
+        picture.as_state or f"no AS state{picture.last_state}",
         picture.mission or "",
         f"mode {picture.mode}",
         f"Go {on_off(picture.go)}",

@@ -47,6 +47,7 @@ NEARLY_FULL: Final = 65_000  # a counter of 16 bits goes on at 0
 FEW_PULSES: Final = 10
 OUT_OF_ORDER_NS: Final = 2 * PERIOD_NS
 MANY: Final = 3
+MOST_NAMED: Final = 8
 LOSSY: Final = 5  # messages that miss frames again and again
 LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
 UNREAD: Final = "not everything could be read"
@@ -307,6 +308,7 @@ def _losing(bus: BusStatistics) -> Finding | None:
 def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
     """A channel's findings; the pauses of several messages at one moment are one."""
     pauses: list[list[Finding]] = []
+    unknown: list[Finding] = []
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
     lost = _losing(bus)
     if lost:
@@ -322,6 +324,9 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
     for finding in judge(bus):
         if finding.kind == "error-frames" and len(record.error_ns):
             finding = replace(finding, t_ns=int(record.error_ns[0]), remedy=CAUSES["bus_lost"].remedy)
+        if finding.kind == "unknown":
+            unknown.append(finding)
+            continue
         if finding.kind != "gap":
             yield finding
             continue
@@ -331,6 +336,13 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
         if not together:
             pauses.append(together)
         together.append(finding)
+    if len(unknown) < MANY:
+        yield from unknown
+    else:
+        ids = tuple(sorted(finding.can_ids[0] for finding in unknown))
+        named = ", ".join(f"0x{can_id:03X}" for can_id in ids[:MOST_NAMED]) + (" …" if len(ids) > MOST_NAMED else "")
+        first = min(unknown, key=lambda finding: finding.t_ns or 0)
+        yield replace(first, text=f"{len(ids)} identifiers are in no database: {named}", can_ids=ids)
     for pause in pauses:
         ids = tuple(sorted(finding.can_ids[0] for finding in pause))
         worst = min(pause, key=lambda finding: finding.severity != "problem")
@@ -399,6 +411,8 @@ def _unknown(record: Record) -> Iterator[str]:
         yield "the database has no AS_STATE in 0x520, so the car's state is not known: it is not the car's"
     elif record.end_ns - record.begin_ns < SHORT_NS:
         yield "it is shorter than a second"
+    elif not record.ai_speaks and record.unknown_ids.keys() & set(AI_IDS):
+        yield "the database does not name the AI computer's messages (0x510 to 0x514): use the car's own, or --revision"
     elif not record.ai_speaks:
         yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
     seen = told_revision(record.frames)
