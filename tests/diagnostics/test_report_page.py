@@ -122,6 +122,14 @@ def test_lanes_show_the_as_states_one_behind_the_other(frames: Frames) -> None:
         assert one[1] == following[0]
 
 
+def test_a_second_car_has_a_lane(frames: Frames) -> None:
+    twice = frames.only((frames.can_id == 0x520) & (frames.t_ns > frames.t_ns[-1] - 2 * S))
+    both = joined([frames, replace(twice, t_ns=twice.t_ns + 4 * MS)])
+    record = Record(both.only(np.argsort(both.t_ns, kind="stable")))
+    (span,) = next(lane["spans"] for lane in lanes(record, record.begin_ns) if lane["name"] == "second car")
+    assert span[1] - span[0] == pytest.approx(2.0, abs=0.2)
+
+
 def test_a_lane_of_two_senders_is_drawn_to_its_end(frames: Frames) -> None:
     ours = frames.only(frames.can_id == 0x510)
     both = joined([frames, replace(ours, t_ns=ours.t_ns + 4 * MS, word=np.zeros_like(ours.word))])
