@@ -81,6 +81,20 @@ def test_missions_without_a_path_get_no_plan(mission: Ami) -> None:
     assert planner.on_cones(observation([(5.0, 1.5)]), Motion()) is None
 
 
+@pytest.mark.parametrize("side", (1.6, -1.6))
+def test_two_wrong_colours_in_a_row_do_not_bend_the_path(side: float) -> None:
+    xy = np.array([(3.5 * place, y) for place in range(20) for y in (1.6, -1.6)])
+    blue = (xy[:, 1] > 0.0) ^ ((xy[:, 1] == side) & np.isin(xy[:, 0], (17.5, 21.0)))
+    planner = planner_for(Ami.AUTOCROSS)
+    for x in np.arange(0.0, 25.0, 0.5):
+        ahead = xy - (x, 0.0)
+        seen = (np.hypot(*ahead.T) < 15.0) & (ahead[:, 0] > 1.0)
+        color = np.where(blue, ConeColor.BLUE, ConeColor.YELLOW)[seen]
+        observation = ConeObservation(round(x * 1e8), ahead[seen], color, np.ones(len(color)))
+        plan = planner.on_cones(observation, Motion(observation.t_ns, x_m=x, speed_mps=5.0, distance_m=x))
+        assert plan is not None and np.abs(plan.path_m[:, 1]).max(initial=0.0) < 0.2
+
+
 def observation(xy: list[tuple[float, float]], t_ns: int = 0) -> ConeObservation:
     count = len(xy)
     return ConeObservation(t_ns, np.array(xy).reshape(-1, 2), np.zeros(count, dtype=np.int64), np.full(count, 0.9))

@@ -64,9 +64,9 @@ _CONE = np.dtype(
     ]
 )
 GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
-# A border is a chain of cones so near each other. By the cosine of the angle between the ways from one of them to the
-# next and to the last: so straight that it outvotes a colour; so little bent that a cone of its colour is surely of it.
-CHAIN_GAP_M, CHAIN_COS, CHAIN_BENT_COS = 5.0, -0.9, -0.3
+# A border is a chain of cones so near each other. By the cosine of the angle by which it turns at one of them: so
+# straight that it outvotes a colour; so little bent that a cone of its colour is surely of it.
+CHAIN_GAP_M, CHAIN_COS, CHAIN_BENT_COS = 5.0, 0.9, 0.3
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -175,42 +175,28 @@ def in_view(here: Floats, reach: Floats, settings: PlannerSettings) -> Bools:
 
 
 def by_chain(xy_m: Floats, side: Floats) -> Floats:
-    """The sides (+1, -1, 0 unknown) of cones by their colours, but turned for those in a border of the other colour.
+    """The sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those that stand in a border of the other
+    colour, also at its end as far as it is seen: there the lane says it.
 
-    Such a cone has one of the other colour before and one behind it in line, of which one at least goes on in line to a
-    next one of its own colour; and it is not between two of the cone's own.
+    Such a cone is in line with two of the other colour, one after the other, and not between two of its own.
     """
-    if not len(xy_m):
-        return side
     way = xy_m - xy_m[:, None]
     length = np.hypot(way[..., 0], way[..., 1])
-    near = (length > 0.0) & (length < CHAIN_GAP_M)
-    unit = way / np.where(near, length, np.inf)[..., None]
-    colors = side[:, None] * side
-    other = near & (colors < 0.0)
-    same = _packed(unit, near & (colors > 0.0))
-    doubted = ((other.sum(axis=1) > 1) & (_straightest(same, same) >= CHAIN_BENT_COS)).nonzero()[0]
-    if not len(doubted):
+    cone, neighbour = ((length > 0.0) & (length < CHAIN_GAP_M)).nonzero()
+    if not len(cone):
         return side
-    unit, other = unit[doubted], other[doubted]
-    # from a neighbour back to the doubted cone, and on to the neighbour's next ones
-    cone, neighbour = other.nonzero()
-    goes_on = other.copy()
-    goes_on[cone, neighbour] = _straightest(-unit[cone, neighbour, None], same[neighbour]) < CHAIN_COS
-    between = _straightest(_packed(unit, goes_on), _packed(unit, other)) < CHAIN_COS
-    turned = side.copy()
-    turned[doubted[between]] *= -1.0
-    return turned
-
-
-def _packed(unit: Floats, chosen: Bools) -> Floats:
-    """(N, K, 2) of (N, M, 2) vectors the chosen ones of each row, and then zeros."""
-    count = chosen.sum(axis=1)
-    packed = np.zeros((len(unit), int(count.max()), 2))
-    packed[np.arange(packed.shape[1]) < count[:, None]] = unit[chosen]
-    return packed
-
-
-def _straightest(to: Floats, on: Floats) -> Floats:
-    """(…) the least cosine, 0 at most, of any of (…, K, 2) ways to any of (…, L, 2) others."""
-    return np.asarray((to @ on.swapaxes(-1, -2)).min(axis=(-2, -1), initial=0.0))
+    place = np.arange(len(cone)) - cone.searchsorted(cone)  # the neighbour's among those of its cone
+    shape = len(xy_m) + 1, int(place.max()) + 1  # the last cone is no cone, and without a colour
+    whom = np.full(shape, len(xy_m))
+    whom[cone, place] = neighbour
+    x, y = np.zeros((2, *shape))  # of the unit vector to each neighbour
+    x[cone, place], y[cone, place] = (way[cone, neighbour] / length[cone, neighbour, None]).T
+    known = np.append(side, 0.0)
+    its = known[whom]
+    colors = known[:, None] * its
+    mine = (colors > 0.0)[:, :, None]
+    between = mine & mine.swapaxes(1, 2) & (x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None] < -CHAIN_BENT_COS)
+    # from the cone to its neighbour, and on to the neighbour's next one
+    on = (its[:, :, None] * its[whom] > 0.0) & (x[:, :, None] * x[whom] + y[:, :, None] * y[whom] > CHAIN_COS)
+    contrary = ((colors < 0.0) & on.any(axis=2)).any(axis=1) & ~between.any(axis=(1, 2))
+    return np.where(contrary[:-1], 0.0, side)
