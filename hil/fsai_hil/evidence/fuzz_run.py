@@ -17,9 +17,9 @@ from operator import methodcaller as call
 from types import MappingProxyType
 from typing import Any, Final
 
-from fsai_hil.evidence.model import Setting
+from fsai_hil.evidence.model import Setting, WatchedBridge
 from fsai_hil.rules.numbers import CYCLE_NS, DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
-from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
+from fsai_vcu.core.bridge import BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -133,7 +133,8 @@ class Run:
     def _new_process(self) -> None:
         codec, setup = self.codec, self._setup
         args = (self._car, setup.config, setup.limits, self._first_run_id, self.now_ns)
-        self._bridge = Bridge(codec, codec.revision, *args)
+        self._bridge = WatchedBridge(codec, codec.revision, *args)
+        self._bridge.checker = self._checker
         self._engine = Engine(self._bridge, codec, self._send, self.now_ns)
         self._back_ns: int | None = None  # the bus is lost until then
         self._made = False
@@ -208,20 +209,18 @@ class Run:
         """`role` confirms its reset for the run in hand plus `offset`."""
         if self._running:
             self._bridge.on_reset_confirmed(role, self._bridge.run.run_id + offset)
-            if offset == 0:
-                self._checker.on_confirmed(role)
 
     def mode(self, mode: str) -> None:
         """The operator asks for a mode."""
-        self._checker.on_mode(mode, self._bridge.set_mode(mode, self.now_ns), self.now_ns)
+        self._bridge.set_mode(mode, self.now_ns)
 
     def emergency(self, words: str = "") -> None:
         """The operator asks for the emergency brake."""
-        self._checker.on_emergency(self._bridge.emergency_brake(words, self.now_ns)[0])
+        self._bridge.emergency_brake(words, self.now_ns)
 
     def reset(self) -> None:
         """The operator asks to clear the emergency."""
-        self._checker.on_reset(self._bridge.reset(self.now_ns)[0], self.now_ns)
+        self._bridge.reset(self.now_ns)
 
     # ------------------------------------------------------------ bus and process
 
@@ -250,7 +249,6 @@ class Run:
         """The software is stopped by its operator."""
         if self._back_ns is None:
             self._bridge.begin_stop(self.now_ns)
-            self._checker.on_end()
 
     # ------------------------------------------------------------ the car
 
@@ -336,8 +334,7 @@ class Run:
         fields = dict(fields)
         age_ns, offset = round(fields.pop("age_ms", 0.0) * MS), fields.pop("run_offset", 0)
         command = VehicleCommand(self.now_ns - age_ns, self._bridge.run.run_id + offset, **fields)
-        refused = bool(self._bridge.on_command(command, self.now_ns))
-        self._checker.on_command(command, refused, self.now_ns, current=offset == 0)
+        self._bridge.on_command(command, self.now_ns)
 
     # ------------------------------------------------------------ the loop
 
@@ -365,13 +362,11 @@ class Run:
             self._back_ns = None
             self._engine = Engine(self._bridge, self.codec, self._send, now_ns)
             self._bridge.bus_back(now_ns)
-            self._checker.on_bus_back(now_ns)
         due_ns = self._engine.due_ns()
         if now_ns < due_ns + self.late_ns or not self._running:
             return
         if now_ns - due_ns >= DEADLINE_MISS_NS:
             self._bridge.loop_fault(f"the CAN loop was {(now_ns - due_ns) / 1e6:.0f} ms late", now_ns)
-            self._checker.on_loop_fault()
         self._checker.before_cycle(now_ns)
         self._taken, self._made = 0, False
         try:
@@ -416,7 +411,6 @@ class Run:
         if self._back_ns is None and self._running:
             self._back_ns = self.now_ns + for_ns
             self._bridge.bus_lost(why, self.now_ns)
-            self._checker.on_bus_lost(self.now_ns)
 
 
 # ---------------------------------------------------------------- stations

@@ -22,16 +22,26 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import Enum
 from functools import cache
 from itertools import chain
 from operator import attrgetter
 from typing import Any, Final, cast
 
-from fsai_hil.evidence.abstraction import CLOCKS, NEVER, NOW, Abstraction, Content
-from fsai_hil.evidence.car_frames import MARKS, PlainCodec, brake_frame, car_frame, status_frame, unreadable_frame
+from fsai_hil.evidence.abstraction import (
+    CLOCKS,
+    NEVER,
+    NOW,
+    Abstraction,
+    Content,
+    PlainCodec,
+    brake_frame,
+    car_frame,
+    status_frame,
+    unreadable_frame,
+)
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS, MS, S
@@ -66,10 +76,8 @@ _THIS_RUN, _OTHER_RUN = 0, -1
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A command as the searched controller sends it. `valid` is what the safety rules say of it."""
+    """A command as the searched controller sends it."""
 
-    words: str
-    valid: bool
     fields: Mapping[str, Any]
     data_age_ns: int = 0
     run: int = _THIS_RUN
@@ -78,25 +86,23 @@ class Ask:
 _LEFT = math.radians(20.0)
 _DRIVES: Final = {"steering_rad": _LEFT, "throttle": 0.5}
 COMMANDS: Final[Mapping[str, Ask]] = {
-    "drive": Ask("throttle, steering left", True, _DRIVES),
-    "drive right": Ask("throttle, steering right", True, {"steering_rad": -_LEFT, "throttle": 1.0}),
-    "coast": Ask("neither pedal", True, {}),
-    "brake": Ask("brake", True, {"steering_rad": _LEFT, "brake": 0.4}),
-    "both": Ask("throttle and brake together", True, _DRIVES | {"brake": 0.4}),
-    "finished": Ask("throttle, and the mission is finished", True, _DRIVES | {"mission_finished": True}),
-    "estop": Ask("throttle, and an emergency brake", True, _DRIVES | {"estop_request": True}),
-    "old": Ask("throttle, on data of 500 ms less 1 ns", True, _DRIVES, 500 * MS - 1),
-    "too old": Ask("throttle, on data of 500 ms", False, _DRIVES, 500 * MS),
-    "far too old": Ask("throttle, on data of 700 ms", False, _DRIVES, 700 * MS),
-    "future": Ask("throttle, on data 21 ms ahead", False, _DRIVES, -21 * MS),
-    "other run": Ask("throttle, for the run before", False, _DRIVES, run=_OTHER_RUN),
-    "nan": Ask("throttle, and a steering angle that is no number", False, _DRIVES | {"steering_rad": math.nan}),
-    "infinite": Ask("infinite throttle", False, _DRIVES | {"throttle": math.inf}),
-    "beyond": Ask("throttle of 150 %", False, _DRIVES | {"throttle": 1.5}),
-    "negative": Ask("a negative brake with throttle", False, _DRIVES | {"brake": -0.1}),
-    "beyond steering": Ask(
-        "steering beyond the car's own limit", False, _DRIVES | {"steering_rad": math.radians(31.0)}
-    ),
+    "drive": Ask(_DRIVES),
+    "drive right": Ask({"steering_rad": -_LEFT, "throttle": 1.0}),
+    "coast": Ask({}),
+    "brake": Ask({"steering_rad": _LEFT, "brake": 0.4}),
+    "both": Ask(_DRIVES | {"brake": 0.4}),
+    "finished": Ask(_DRIVES | {"mission_finished": True}),
+    "estop": Ask(_DRIVES | {"estop_request": True}),
+    "old": Ask(_DRIVES, 500 * MS - 1),
+    "too old": Ask(_DRIVES, 500 * MS),
+    "far too old": Ask(_DRIVES, 700 * MS),
+    "future": Ask(_DRIVES, -21 * MS),
+    "other run": Ask(_DRIVES, run=_OTHER_RUN),
+    "nan": Ask(_DRIVES | {"steering_rad": math.nan}),
+    "infinite": Ask(_DRIVES | {"throttle": math.inf}),
+    "beyond": Ask(_DRIVES | {"throttle": 1.5}),
+    "negative": Ask(_DRIVES | {"brake": -0.1}),
+    "beyond steering": Ask(_DRIVES | {"steering_rad": math.radians(31.0)}),
 }
 
 
@@ -129,36 +135,20 @@ class Choice:
 
     @property
     def words(self) -> str:
-        """The choice in words: only what is out of the ordinary, and what matters in every cycle."""
-        if self.event == "restart":
-            return "the process dies and another one takes its place"
-        shown = (
-            (self.says is not None and f"the car says {self.says.label}"),
-            "wheels turn with " + "/".join(map(str, self.rpm)) + " rpm" if any(self.rpm) else "wheels stand",
-            "Go on" if self.go else "Go off",
-            not self.asms and "ASMS off",
-            not self.tsms and "TSMS off",
-            self.sdc_open and "the shutdown circuit opens",
-            self.fault and "FAULT_STATUS 1",
-            *(mark for mark in MARKS if mark in self.marks),
-            self.counting and "a pulse count runs",
-            self.ami is not Ami.TRACKDRIVE and f"the AMI shows {self.ami.label}",
-            self.lost and "lost: " + ", ".join(name for name in CAR_MESSAGES if name in self.lost),
-            self.unreadable and "0x520 with an AS_STATE outside the table",
-            self.angle_max_deg != 30.0 and f"ANGLE_MAX {self.angle_max_deg:g} deg",
-            self.torque_max_nm != 195.0 and f"TRQ_MAX {self.torque_max_nm:g} Nm",
-        )
-        parts = (
-            *(("the car is switched off",) if self.car_off else shown),
-            self.steer_odd and "the steering does not follow",
-            self.wheel_odd and "one wheel does not fit the others",
-            self.event,
-            self.request and f"asked for: {self.request}",
-            self.confirm != BOTH and "reset not confirmed by " + " and ".join(sorted(BOTH - self.confirm)),
-            "no command" if self.command == _NO_COMMAND else f"command: {COMMANDS[self.command].words}",
-            self.frames < 5 and (f"only {self.frames} of 5 frames go out" if self.frames else "no frame goes out"),
-        )
-        return "; ".join(str(part) for part in parts if part)
+        """What is out of the ordinary in it, by the names above."""
+        chosen = {one.name: getattr(self, one.name) for one in fields(self) if getattr(self, one.name) != one.default}
+        return "; ".join(f"{name} {_plain(value)}" for name, value in chosen.items()) or "nothing out of the ordinary"
+
+
+def _plain(value: object) -> str:
+    match value:
+        case Enum():
+            return value.name
+        case frozenset():
+            return ", ".join(sorted(value)) or "nobody"
+        case tuple():
+            return "/".join(map(str, value))
+    return str(value)
 
 
 @cache
@@ -219,7 +209,55 @@ _READY_NS: Final = 5 * S
 # ---------------------------------------------------------------- what stands in for the rest of the world
 
 
-class SearchedBridge(Bridge):
+class WatchedBridge(Bridge):
+    """The bridge: what is asked of it and happens to it, and how it answers, its checker is told."""
+
+    checker: WireChecker
+
+    def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
+        current = command.run_id == self.state.supervisor.run_id
+        problems = super().on_command(command, now_ns)
+        self.checker.on_command(command, bool(problems), now_ns, current=current)
+        return problems
+
+    def on_reset_confirmed(self, role: str, run_id: int) -> None:
+        super().on_reset_confirmed(role, run_id)
+        if run_id == self.state.supervisor.run_id:
+            self.checker.on_confirmed(role)
+
+    def set_mode(self, mode: str, now_ns: int) -> tuple[bool, str]:
+        answer = super().set_mode(mode, now_ns)
+        self.checker.on_mode(mode, answer, now_ns)
+        return answer
+
+    def emergency_brake(self, why: str, now_ns: int) -> tuple[bool, str]:
+        answer = super().emergency_brake(why, now_ns)
+        self.checker.on_emergency(answer[0])
+        return answer
+
+    def reset(self, now_ns: int) -> tuple[bool, str]:
+        answer = super().reset(now_ns)
+        self.checker.on_reset(answer[0], now_ns)
+        return answer
+
+    def bus_lost(self, why: str, now_ns: int) -> None:
+        super().bus_lost(why, now_ns)
+        self.checker.on_bus_lost(now_ns)
+
+    def bus_back(self, now_ns: int) -> None:
+        super().bus_back(now_ns)
+        self.checker.on_bus_back(now_ns)
+
+    def loop_fault(self, why: str, now_ns: int) -> None:
+        super().loop_fault(why, now_ns)
+        self.checker.on_loop_fault()
+
+    def begin_stop(self, now_ns: int) -> None:
+        super().begin_stop(now_ns)
+        self.checker.on_end()
+
+
+class SearchedBridge(WatchedBridge):
     """The bridge, whose plausibility checks say what the environment wants."""
 
     steer_odd = False
@@ -240,6 +278,18 @@ class SearchedBridge(Bridge):
             since_ns = state.wheels.implausible_since_ns
             wheels = WheelCheck(implausible_since_ns=now_ns if since_ns is None else since_ns)
         return steering, wheels
+
+
+TROUBLES: Final[Mapping[str, Callable[[WatchedBridge, int], object]]] = {
+    "an intruder sends 0x511": lambda b, now: (b.on_frame(Frame(0x511, bytes(4), now)), b.checker.on_intruder("0x511")),
+    "the loop misses its deadline": lambda b, now: b.loop_fault("a deadline was missed by 50 ms", now),
+    "the bus is lost": lambda b, now: b.bus_lost("the interface is gone", now),
+    "the bus is back": lambda b, now: b.bus_back(now),
+    "the software is stopped": lambda b, now: b.begin_stop(now),
+    "frames waited for 20 ms": lambda b, now: b.backlog(BACKLOG_NS, now),
+}
+RESTART: Final = "restart"  # another process takes the bridge's place
+"""What may happen to the process in a cycle, by what `Choice.event` says."""
 
 
 @dataclass(slots=True)
@@ -324,22 +374,23 @@ class Composition:
         self._ages = tuple(
             tuple(sorted({0, *(age for edge in edges for age in (edge - 1, edge))})) for edges in self._edges
         )
-        self.checks: Counter[str] = Counter()
         self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
         self.initial()
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
         args = (setting.car, setting.config, setting.limits, 1, NOW)
-        return SearchedBridge(cast(Codec, PlainCodec()), revision(setting.revision), *args)
+        made = SearchedBridge(cast(Codec, PlainCodec()), revision(setting.revision), *args)
+        made.checker = self._checker
+        return made
 
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
         """Both sides have just been switched on: nothing has been sent or received."""
+        self._checker = self.scope.setting.checker(nothing_hidden=True)
         self._bridge = self._new_bridge()
         self._vcu = _Vcu(self.scope.setting.first_state)
-        self._checker = self.scope.setting.checker(nothing_hidden=True)
         disc, raw = self._save(NOW)
         return disc, self._rounded(raw)
 
@@ -459,7 +510,7 @@ class Composition:
     def live(self, choice: Choice, now: int) -> Outcome:
         """One cycle at `now`: what the composition is then, what is wrong with it, and what was sent."""
         problems: tuple[Violation, ...] = ()
-        if choice.event == "restart":
+        if choice.event == RESTART:
             self._bridge = self._new_bridge()
             self._checker.restarted()
         checker = self._checker
@@ -470,20 +521,28 @@ class Composition:
             self._car_speaks(choice, now)
         b = self._bridge
         b.steer_odd, b.wheel_odd = choice.steer_odd, choice.wheel_odd
-        self._happens(choice.event, now)
-        if choice.request is not None:
-            self._requested(choice.request, now)
+        if choice.event in TROUBLES:
+            TROUBLES[choice.event](b, now)
+        match choice.request:
+            case None:
+                pass
+            case "the emergency brake":
+                b.emergency_brake("somebody asked for it", now)
+            case "reset":
+                b.reset(now)
+            case mode:
+                b.set_mode(mode, now)
         supervising = b.state.supervisor
         for role in choice.confirm - supervising.confirmed:
             b.on_reset_confirmed(role, supervising.run_id)
-            checker.on_confirmed(role)
         if choice.command != _NO_COMMAND:
-            self._commanded(COMMANDS[choice.command], now)
+            ask = COMMANDS[choice.command]
+            run_id = b.state.supervisor.run_id + ask.run
+            b.on_command(VehicleCommand(now - ask.data_age_ns, run_id, **{"speed_limit_mps": 50.0} | ask.fields), now)
         asked = b.cycle(now)
         checker.before_cycle(now)
         checker.on_mode_shown(b.state.supervisor.mode.value)
         if asked is not None:
-            self._count(asked, choice)
             problems, images = self._images(asked)
             self._sent(choice, asked, images, now)
         checks = b.state
@@ -492,24 +551,6 @@ class Composition:
         if problems and self._only_rule:
             problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
         return self._save(now), problems, asked
-
-    def _count(self, asked: AiCommand, choice: Choice) -> None:
-        """Each rule is counted in the cycles in which it has something to say."""
-        seen = self._checker.seen
-        driving = seen.as_state is AsState.AS_DRIVING
-        ends = asked.direction is not Direction.FORWARD or asked.mission_status is MissionStatus.FINISHED
-        speaks = {
-            "1": asked.torque_requested or asked.brake_requested,
-            "2": asked.torque_requested,
-            "3": driving and ends,
-            "4": driving,
-            "5": not driving and seen.as_state not in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED),
-            "6": seen.latched,
-            "7": choice.command != _NO_COMMAND and not COMMANDS[choice.command].valid,
-            "10": seen.restarted,
-            "reactions": driving,
-        }
-        self.checks.update(("8", "9", "output table", "modes", *(rule for rule, so in speaks.items() if so)))
 
     # ------------------------------------------------------------ the car
 
@@ -573,46 +614,6 @@ class Composition:
                 gate=replace(b.gate, pulses=Pulses(turning_ns=now)),
             )
 
-    # ------------------------------------------------------------ people, planner and loop
-
-    def _happens(self, event: str | None, now: int) -> None:
-        b, checker = self._bridge, self._checker
-        match event:
-            case "an intruder sends 0x511":
-                b.on_frame(Frame(0x511, bytes(4), now))
-                checker.on_intruder(event)
-            case "the loop misses its deadline":
-                b.loop_fault("a deadline was missed by 50 ms", now)
-                checker.on_loop_fault()
-            case "the bus is lost":
-                b.bus_lost("the interface is gone", now)
-                checker.on_bus_lost(now)
-            case "the bus is back":
-                b.bus_back(now)
-                checker.on_bus_back(now)
-            case "the software is stopped":
-                b.begin_stop(now)
-                checker.on_end()
-            case "frames waited for 20 ms":
-                b.backlog(BACKLOG_NS, now)
-
-    def _requested(self, request: str, now: int) -> None:
-        b, checker = self._bridge, self._checker
-        match request:
-            case "the emergency brake":
-                checker.on_emergency(b.emergency_brake("somebody asked for it", now)[0])
-            case "reset":
-                checker.on_reset(b.reset(now)[0], now)
-            case mode:
-                checker.on_mode(mode, b.set_mode(mode, now), now)
-
-    def _commanded(self, ask: Ask, now: int) -> None:
-        b = self._bridge
-        run_id = b.state.supervisor.run_id + ask.run
-        command = VehicleCommand(now - ask.data_age_ns, run_id, **{"speed_limit_mps": 50.0} | ask.fields)
-        refused = bool(b.on_command(command, now))
-        self._checker.on_command(command, refused, now, current=ask.run == _THIS_RUN)
-
     # ------------------------------------------------------------ the wire
 
     def _images(self, asked: AiCommand) -> tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]:
@@ -645,10 +646,10 @@ class Composition:
                 {"steer": asked.steer_deg != 0.0},
                 {"brake": asked.brake_requested},
             )
-            for number, fields in enumerate(shown[: choice.frames]):
+            for number, changed in enumerate(shown[: choice.frames]):
                 before = _asked_of(v)
                 v.received = True
-                for name, value in fields.items():
+                for name, value in changed.items():
                     setattr(v, name, value)
                 if number == 0 and asked.handshake == v.bit:
                     v.echo_ns = None

@@ -12,8 +12,20 @@ from dataclasses import replace
 from itertools import combinations, product
 from typing import Any, Final
 
-from fsai_hil.evidence.car_frames import MARKS
-from fsai_hil.evidence.model import BOTH, BRAKE, CAR_MESSAGES, COMMANDS, SPEEDS, STATUS, Choice, Scope, Setting
+from fsai_hil.evidence.abstraction import MARKS
+from fsai_hil.evidence.model import (
+    BOTH,
+    BRAKE,
+    CAR_MESSAGES,
+    COMMANDS,
+    RESTART,
+    SPEEDS,
+    STATUS,
+    TROUBLES,
+    Choice,
+    Scope,
+    Setting,
+)
 from fsai_hil.rules.numbers import S
 from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
@@ -120,15 +132,7 @@ _PEOPLE: Final[tuple[dict[str, Any], ...]] = (
 _PLANNER: Final = frozenset(("planner",))
 _CONFIRMED: Final = {"ami": (Ami.TRACKDRIVE, Ami.ACCELERATION), "confirm": (BOTH, _PLANNER, BOTH - _PLANNER, NOBODY)}
 _LOST: Final = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
-_TROUBLES: Final = (
-    "an intruder sends 0x511",
-    "the loop misses its deadline",
-    "the bus is lost",
-    "the bus is back",
-    "the software is stopped",
-    "frames waited for 20 ms",
-)
-_RESTART: Final = "restart"
+_TROUBLES: Final = tuple(TROUBLES)
 _EVERY_MARK: Final = frozenset(MARKS)
 _EACH_MARK: Final = [frozenset((mark,)) for mark in MARKS]
 _CONFIG: Final = Setting().config
@@ -211,8 +215,8 @@ def all_scopes() -> tuple[Scope, ...]:
         _scope(
             "restarts",
             "the process dies and comes back in every state of the car, moving and standing; so does the car",
-            _each(GO, {"event": _RESTART}, {"asms": False}, {"car_off": True}),
-            _each(_DRIVES, {}, {"event": _RESTART}, {"command": "brake"}),
+            _each(GO, {"event": RESTART}, {"asms": False}, {"car_off": True}),
+            _each(_DRIVES, {}, {"event": RESTART}, {"command": "brake"}),
         ),
         _scope(
             "power cycle",
@@ -270,7 +274,7 @@ def all_scopes() -> tuple[Scope, ...]:
             [
                 *(_says(state) for state in (_OFF, _READY, _DRIVING)),
                 _says(_DRIVING, rpm=MOVING),
-                *(_says(state, event=_RESTART) for state in (_OFF, _READY, _DRIVING)),
+                *(_says(state, event=RESTART) for state in (_OFF, _READY, _DRIVING)),
                 *(_says(state, request="autonomous") for state in (_OFF, _READY)),
             ],
             **_ANY_CAR,
