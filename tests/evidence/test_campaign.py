@@ -23,8 +23,8 @@ from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.runner import KIND, SNAPSHOTS, ClusterError, header_of, on_cluster
 from fsai_hil.evidence.campaign.scenario import run_case
-from fsai_hil.evidence.record import digest, read
 from fsai_hil.evidence.seeded import SEEDS, Patches
+from fsai_hil.evidence.work import digest, read
 from fsai_vcu.cli.main import main
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.supervision import supervisor
@@ -157,7 +157,9 @@ def _lines(path: Path) -> int:
     return len(path.read_text().splitlines()) if path.exists() else 0
 
 
-def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_continues_with_the_same_sources_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     record = tmp_path / "record.jsonl"
     arguments = ["--runs", "40", "--faults", "go_off,emergency_asked", "--jobs", "1", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
@@ -176,23 +178,13 @@ def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path, capsys: 
     assert f"{kept} runs are in" in capsys.readouterr().err
     driven = [run["index"] for run in read(record, KIND)[1]]
     assert len(driven) == len(set(driven)) and set(driven) >= set(range(kept + 2))
-
-
-def test_a_record_of_other_sources_is_neither_continued_nor_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    chosen = ["campaign", "--runs", "1", "--jobs", "1", "--faults", "remote_estop", *ONE_CAR, "--out", str(tmp_path)]
-    assert main(chosen) == 0
-    before = (tmp_path / "record.jsonl").read_text()
+    arguments[1], before = "1", record.read_text()
     monkeypatch.setattr(runner, "digest", lambda: "other")
-    capsys.readouterr()
-    assert main([*chosen, "--resume"]) == 0
+    assert main(["campaign", *arguments, "--out", str(tmp_path), "--resume"]) == 0
     assert "is now record-before-1.jsonl: it is of other sources" in capsys.readouterr().err
     assert (tmp_path / "record-before-1.jsonl").read_text() == before
-    assert read(tmp_path / "record.jsonl", KIND)[0]["sources"] == "other"
-    assert main([*chosen, "--resume"]) == 0, "the same sources go on"
-    assert not (tmp_path / "record-before-2.jsonl").exists()
-    assert main(chosen) == 0
+    assert read(record, KIND)[0]["sources"] == "other"
+    assert main(["campaign", *arguments, "--out", str(tmp_path)]) == 0
     assert "is now record-before-2.jsonl: without --resume a campaign begins anew" in capsys.readouterr().err
 
 
@@ -243,6 +235,3 @@ def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.Monke
     plan = CampaignPlan(1, 1)
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         next(on_cluster(plan, plan.tasks(), "tcp://127.0.0.1:9"))
-
-
-# ---------------------------------------------------------------- wrong use

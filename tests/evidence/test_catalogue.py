@@ -1,11 +1,13 @@
-"""The catalogue is data: every row is whole, can be drawn, written down and read again."""
+"""The catalogue is data: every row is whole, can be drawn, written down and read again, and is in the documents."""
 
 from __future__ import annotations
 
 import math
 import random
+import re
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -151,3 +153,23 @@ def test_a_fault_by_hand_keeps_what_is_given_and_draws_the_rest() -> None:
     other = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=5, full=False)
     assert case == same != other
     assert case.params["duration"] == 70 and case.mission is Ami.AUTOCROSS
+
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "faults.md"
+
+
+def test_every_row_of_the_catalogue_is_in_the_documented_table() -> None:
+    rows = [line.split(" | ") for line in DOCUMENT.read_text().splitlines() if line.startswith("| `")]
+    documented = {row[0].strip("| `"): (row[1], row[2]) for row in rows}
+    assert set(documented) == {kind.name for kind in ROWS}
+    for kind in ROWS:
+        what, demanded = documented[kind.name]
+        assert what.startswith(kind.what) and demanded == kind.must.demanded, (
+            f"make the table again: {kind.name} has changed"
+        )
+
+
+def test_the_documented_campaign_has_its_origin_and_no_finding() -> None:
+    text = DOCUMENT.read_text()
+    assert re.search(r"Made by `fsai-vcu campaign --runs \d+ --full \d+ --seed \d+", text)
+    assert re.search(r"\*\*Worse than the rules allow: 0 of \d+ runs\.\*\*", text)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from fsai_hil.evidence.missions import cases, main
-from fsai_hil.evidence.record import digest
+from fsai_hil.evidence.work import digest
 
 
 def run(seed: int, condition: str, result: str = "pass", **more: Any) -> dict[str, Any]:
@@ -45,8 +45,6 @@ def test_a_failed_run_is_named_and_is_the_status(tmp_path: Path, capsys: pytest.
     document = capsys.readouterr().out
     assert "| acceleration | acceleration | noise | 2 | 1 | 0 | 1 | 0 | 9.0 | 9.0 |" in document
     assert "acceleration, acceleration, noise, seed 2: off course once" in document
-    assert main([*arguments, "--json"]) == 1
-    assert [row["passed"] for row in json.loads(capsys.readouterr().out)] == [2, 1]
 
 
 def test_cases_are_what_can_be_driven_and_nothing_twice() -> None:

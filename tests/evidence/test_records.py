@@ -10,7 +10,7 @@ import pytest
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan
 from fsai_hil.evidence.campaign.runner import batches
-from fsai_hil.evidence.record import Record, RecordError, driven_files, read
+from fsai_hil.evidence.work import Record, RecordError, driven_files, read
 
 KIND = "campaign"
 HEADER = {KIND: 1, "seed": 1}

@@ -6,16 +6,17 @@ import argparse
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS, CampaignPlan
 from fsai_hil.evidence.campaign.runner import KIND, batches, drive_batch, header_of, on_cluster
 from fsai_hil.evidence.campaign.table import catalogue_lines, failures, markdown
-from fsai_hil.evidence.record import Record, read
-from fsai_hil.evidence.work import Progress, spread
+from fsai_hil.evidence.work import Record, followed, read, spread
 from fsai_hil.simulator.world import mission_named
 from fsai_vcu.cli.main import UserError
 from fsai_vcu.interface.revisions import revision
@@ -24,7 +25,6 @@ EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign
 
 RUNS = 10_000
 FULL = 300
-MANY_FAILURES = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,24 +87,15 @@ def _campaign(args: argparse.Namespace) -> int:
             print(f"{kept} runs are in {record.path} already", file=sys.stderr)
         done = {(run["full"], run["index"]) for run in record.results}
         tasks = [task for task in plan.tasks() if task not in done]
-        progress = Progress("runs", len(tasks))
         began_s = time.monotonic()
-        worse = 0
+        drive = partial(drive_batch, plan)
+        driven = on_cluster(plan, tasks, args.dask) if args.dask else spread(drive, batches(plan, tasks), jobs)
+        lines = chain.from_iterable(driven)
         try:
-            drive = partial(drive_batch, plan)
-            driven = on_cluster(plan, tasks, args.dask) if args.dask else spread(drive, batches(plan, tasks), jobs)
-            for lines in driven:
-                for line in lines:
-                    record.add(line)
-                for line in failures(lines):
-                    worse += 1
-                    _failure(line, worse, progress)
-                progress(len(record.results) - kept, f"{worse} worse than the rules allow")
+            deque(followed(lines, "runs", len(tasks), _worse, "worse than the rules allow", record=record), 0)
         except KeyboardInterrupt:
-            progress.clear()
             print(f"{len(record.results)} runs are kept in {record.path}; --resume goes on", file=sys.stderr)
             raise
-        progress.clear()
         new = len(record.results) - kept
         if new:
             rate = new / max(1e-9, time.monotonic() - began_s)
@@ -118,13 +109,8 @@ def _campaign(args: argparse.Namespace) -> int:
         return 0
 
 
-def _failure(line: Mapping[str, Any], number: int, progress: Progress) -> None:
-    if number > MANY_FAILURES:
-        return
-    progress.clear()
-    print(f"worse: {line['replay']}\n       {'; '.join(line['reasons'][:3])}")
-    if number == MANY_FAILURES:
-        print("       … further ones are in the record only")
+def _worse(line: Mapping[str, Any]) -> str:
+    return f"worse: {line['replay']}\n       {'; '.join(line['reasons'][:3])}" if failures([line]) else ""
 
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:

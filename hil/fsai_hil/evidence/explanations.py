@@ -18,7 +18,7 @@ from fsai_hil.evidence.campaign.cases import CampaignPlan, Case
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
-from fsai_hil.evidence.work import Progress, spread
+from fsai_hil.evidence.work import followed, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
@@ -56,14 +56,8 @@ VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
     "high-voltage interlock open": frozenset({"hvil_open"}),
     "LVMS off": frozenset({"vcu_reboot", "power_off"}),
 }
-ON_THE_BUS: Final = frozenset(
-    {
-        *(Reason.INTRUDER, Reason.VCU_SILENT, Reason.WHEELS_STALE, Reason.STEERING_STALE, Reason.STEERING_IMPLAUSIBLE),
-        *(Reason.WHEEL_IMPLAUSIBLE, Reason.STOP_INEFFECTIVE, Reason.GO_OFF, Reason.FAULT_STATUS, Reason.AS_SWITCH_OFF),
-        *(Reason.TS_SWITCH_OFF, Reason.SHUTDOWN_REQUESTED, Reason.FAULT_BIT, Reason.SHUTDOWN_CAUSE, Reason.NO_MISSION),
-        *(Reason.SEQUENCE_SHORT, Reason.AS_STATE_UNKNOWN, Reason.LOOP_FAULT, Reason.BUS_LOST, Reason.VCU_REBOOT),
-    }
-)
+# Why it stops a drive does not show on the bus.
+HIDDEN: Final = frozenset({Reason.COMMAND_STALE, Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED})
 # To those who see the frames only, these look alike.
 ALIKE: Final[Mapping[Reason, frozenset[str]]] = {
     Reason.LOOP_FAULT: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent"}),
@@ -159,9 +153,17 @@ def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset
 def _asked(words: str, unseen: frozenset[str] = SILENT_STOP) -> frozenset[str]:
     """The causes that are right where the bridge stopped the car for this reason; `unseen`: where no frame shows it."""
     reason = next((reason for reason in Reason if words.startswith(reason.words)), None)
-    if reason is None or (reason not in ON_THE_BUS and reason not in ALIKE):
+    if reason is None or reason in HIDDEN:
         return unseen
     return ALIKE.get(reason, frozenset({reason.slug}))
+
+
+def _not_right(one: Explained) -> str:
+    if one.grade == "right" and not one.falsely_green:
+        return ""
+    green = ", and check called it OK" if one.falsely_green else ""
+    named, expected = (" or ".join(words) or "nothing" for words in (one.named, sorted(one.expected)))
+    return f"{one.grade}: {named}, expected {expected}{green}\n    {one.case.replay}"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -173,18 +175,8 @@ def main(argv: list[str] | None = None) -> int:
     count = args.logs or len(ROWS)
     every = max(1, len(ROWS) // count)
     numbers = [index * every for index in range(count)]
-    found: list[Explained] = []
-    progress = Progress("logs", count)
-    for one in spread(partial(explained, args.seed), numbers, args.jobs):
-        found.append(one)
-        if one.grade != "right" or one.falsely_green:
-            progress.clear()
-            green = ", and check called it OK" if one.falsely_green else ""
-            named = ", ".join(one.named) or "nothing"
-            print(f"{one.grade}: {named}, expected {' or '.join(sorted(one.expected)) or 'nothing'}{green}")
-            print(f"    {one.case.replay}")
-        progress(len(found), f"{sum(each.grade != 'right' for each in found)} not right")
-    progress.clear()
+    logs = spread(partial(explained, args.seed), numbers, args.jobs)
+    found = list(followed(logs, "logs", count, _not_right, "not right"))
     grades = {grade: sum(one.grade == grade for one in found) for grade in ("right", "partly", "wrong")}
     green = sum(one.falsely_green for one in found)
     share = grades["right"] / len(found)

@@ -22,7 +22,7 @@ from fsai_hil.evidence import fuzz_run
 from fsai_hil.evidence.fuzz_machine import STEPS, Machine
 from fsai_hil.evidence.fuzz_run import forget_stations
 from fsai_hil.evidence.seeded import SEEDS, Seed, patched
-from fsai_hil.evidence.work import Progress, spread
+from fsai_hil.evidence.work import followed, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
 from fsai_vcu.interface.enums import AsState
@@ -86,18 +86,16 @@ def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
 def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
     """One seed after the other in `jobs` processes, with progress, until the time is over or a rule is broken."""
     began_s = time.monotonic()
-    done, progress = Done(), Progress("examples")
+    done = Done()
     seeds = itertools.count(first_seed)
     in_time = itertools.takewhile(
         lambda seed: seed == first_seed or not (done.failures or time.monotonic() - began_s > 60.0 * minutes), seeds
     )
     try:
-        for found in spread(batch, in_time, jobs):
+        for found in followed(spread(batch, in_time, jobs), "seeds", None, lambda found: "", "broke a rule"):
             done.add(found)
-            progress(done.examples, f"{done.cycles} cycles of the car")
     except KeyboardInterrupt:
         print("interrupted: this is what was done until then", flush=True)
-    progress.clear()
     seconds = time.monotonic() - began_s
     print(f"{done.examples:,} examples, {done.cycles:,} cycles of the car in {seconds:.1f} s")
     for kind in _KINDS:

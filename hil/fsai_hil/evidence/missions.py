@@ -9,17 +9,16 @@ record, and a run that is there is not driven again: more seeds or tracks may fo
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from fsai_hil.evidence.record import Record, digest
-from fsai_hil.evidence.work import Progress, spread
+from fsai_hil.evidence.work import Record, digest, followed, spread
 from fsai_hil.simulator.judge import check_track
 from fsai_hil.simulator.lockstep import CONFIDENCE_THRESHOLD, Lockstep, confident
 from fsai_hil.simulator.sensing import SensorSettings
@@ -27,7 +26,6 @@ from fsai_hil.simulator.tracks import MISSION_TRACK, load_track
 from fsai_hil.simulator.world import WorldSetup, mission_named
 from fsai_vcu.interface.enums import Ami
 
-TRACKS_VARIABLE: Final = "FSAI_TRACKS"  # folder of CSV files that are driven besides
 MIDLINE: Final = "_midline"  # files beside a track that are none
 AUTOCROSS_TOO: Final = ("small_oval", "generated-SEED")
 RECORD: Final = Path("out/missions/record.jsonl")
@@ -110,49 +108,29 @@ def _case(run: Mapping[str, Any]) -> Case:
     return Case(run["mission"], run["track"], run["condition"], run["seed"])
 
 
-def rows(runs: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """One row for each mission, track and condition; times of the runs that passed."""
-    grouped: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
-    for run in runs:
-        grouped.setdefault((run["mission"], run["track"], run["condition"]), []).append(run)
-    found = []
-    for (mission, track, condition), group in grouped.items():
-        passed = [run for run in group if run["result"] == "pass"]
-        times = [time for run in passed for time in run["times_s"]]
-        found.append(
-            {
-                "mission": mission,
-                "track": track,
-                "condition": condition,
-                "runs": len(group),
-                "passed": len(passed),
-                "cones_hit": sum(run["cones_hit"] for run in group),
-                "off_course": sum(run["off_course"] for run in group),
-                "faults": sum(len(run["faults"]) for run in group),
-                "time_mean_s": round(sum(times) / len(times), 2) if times else None,
-                "time_worst_s": round(max(times), 2) if times else None,
-            }
-        )
-    return found
+def _failed(run: Mapping[str, Any]) -> str:
+    return "" if run["result"] == "pass" else f"failed: {_case(run).name}: {'; '.join(run['reasons'])}"
+
+
+def _row(group: Sequence[Mapping[str, Any]]) -> str:
+    """Of one mission, track and condition; times of the runs that passed."""
+    passed = [run for run in group if run["result"] == "pass"]
+    times = [time for run in passed for time in run["times_s"]]
+    counts = (sum(run["cones_hit"] for run in group), sum(run["off_course"] for run in group))
+    cells = (
+        *_case(group[0]).row, len(group), len(passed), *counts, sum(len(run["faults"]) for run in group),
+        *((round(sum(times) / len(times), 2), round(max(times), 2)) if times else ("–", "–")),
+    )  # fmt: skip
+    return f"| {' | '.join(map(str, cells))} |"
 
 
 def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
     """The whole document."""
-    table = rows(runs)
+    grouped: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for run in runs:
+        grouped.setdefault(_case(run).row, []).append(run)
     failed = [run for run in runs if run["result"] != "pass"]
     hours = sum(run["sim_time_s"] for run in runs) / 3600.0
-    head = (
-        "mission",
-        "track",
-        "cones seen",
-        "runs",
-        "passed",
-        "cones hit",
-        "off course",
-        "faults",
-        "mean s",
-        "worst s",
-    )
     lines = [
         "# Missions",
         "",
@@ -170,9 +148,9 @@ def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
         "",
         *(f"- *{name}*: {CONDITIONS[name].what}" for name in dict.fromkeys(run["condition"] for run in runs)),
         "",
-        f"| {' | '.join(head)} |",
+        "| mission | track | cones seen | runs | passed | cones hit | off course | faults | mean s | worst s |",
         f"|{'---|' * 3}{'---:|' * 7}",
-        *(f"| {' | '.join('–' if value is None else str(value) for value in row.values())} |" for row in table),
+        *map(_row, grouped.values()),
     ]
     if failed:
         lines += ["", "## Failed runs", ""]
@@ -218,7 +196,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence.missions",
         description="Drive every mission under every condition of the cone sensor, with many seeds.",
-        epilog=f"{TRACKS_VARIABLE}=FOLDER in the environment adds the tracks in it to the built-in ones.",
     )
     add = parser.add_argument
     add("--missions", type=_names, default=_names(every), metavar="A,B,…", help="default: all")
@@ -228,14 +205,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--record", type=Path, default=RECORD, metavar="FILE", help=f"where the runs are kept (default: {RECORD})")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one per processor)")
     add("-o", "--output", type=Path, metavar="FILE.md", help="write the document (default: to the terminal)")
-    add("--json", action="store_true", help="print the table as JSON, not the document")
     args = parser.parse_args(arguments)
     try:
         tracks = None if args.tracks is None else _tracks(args.tracks)
         asked = list(cases(args.missions, args.conditions, args.seeds, tracks))
-        if tracks is None and (folder := os.environ.get(TRACKS_VARIABLE)):
-            with_cones = [name for name in args.missions if mission_named(name) in MISSION_TRACK]
-            asked += cases(with_cones, args.conditions, args.seeds, _tracks([folder]))
         words = list(arguments if arguments is not None else sys.argv[1:])
         for option in ("--record", "--jobs", "-o", "--output"):
             if option in words:  # changes no figure
@@ -254,18 +227,11 @@ def _drive(asked: Sequence[Case], args: argparse.Namespace, command: str) -> int
             print(f"{record.path} was of other sources, and is now {record.kept_as}", file=sys.stderr)
         runs = {_case(run): run for run in record.results}
         missing = [case for case in asked if Case(*case.row, case.seed) not in runs]
-        progress, failed = Progress("runs", len(missing)), 0
-        for number, run in enumerate(spread(driven, missing, args.jobs), 1):
-            record.add(run)
-            runs[_case(run)] = run
-            if run["result"] != "pass":
-                failed += 1
-                progress.clear()
-                print(f"failed: {_case(run).name}: {'; '.join(run['reasons'][:3])}", file=sys.stderr)
-            progress(number, f"{failed} failed")
-    progress.clear()
+        results = spread(driven, missing, args.jobs)
+        deque(followed(results, "runs", len(missing), _failed, "failed", record=record, to=sys.stderr), 0)
+        runs = {_case(run): run for run in record.results}
     shown = [runs[Case(*case.row, case.seed)] for case in asked]
-    text = json.dumps(rows(shown)) + "\n" if args.json else markdown(shown, command)
+    text = markdown(shown, command)
     if args.output:
         args.output.write_text(text, encoding="utf-8")
     else:

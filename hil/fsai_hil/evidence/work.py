@@ -1,26 +1,151 @@
-"""Work spread over processes of this machine, and one line that says how it goes on."""
+"""Long work of the evidence: spread over processes, followed by one line, and kept in a record that it goes on from.
+
+A record holds results as JSON lines, one for each, after a header that says what they are results of. Lines are
+appended whole and flushed, so that work that is killed goes on where it was; a line cut short by the kill is left out
+when the record is read, and written over.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import fcntl
+import hashlib
+import json
 import multiprocessing
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import AbstractContextManager
+from functools import cache
 from itertools import islice
-from typing import Final, TypeVar
+from pathlib import Path
+from typing import Any, Final, TextIO, TypeVar
+
+import fsai_hil
+import fsai_vcu
+from fsai_vcu.interface.revisions import dbc_dir
 
 AHEAD: Final = 3  # tasks waiting per worker
 NICENESS: Final = 5  # evidence gives way to what else there is to do on the machine
 PROGRESS_EVERY_S: Final = 5.0
+MANY: Final = 20  # that are wrong: further ones are not told
 
 PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+DRIVEN: Final = {
+    fsai_vcu: ("core/**/*", "interface/**/*", "runtime/**/*", "diagnostics/log/*", "diagnostics/statistics/quantiles"),
+    fsai_hil: ("rules/**/*", "simulator/**/*", "evidence/campaign/**/*"),
+}
+"""Where the code is that decides a run: what is driven, the rules, and what these import of the diagnostics. The
+command line, the nodes and the rest of the evidence change none."""
+
+Header = Mapping[str, Any]
+"""What decides every result: records with the same header hold the same. Its first key is the record's kind."""
+
+
+class RecordError(ValueError):
+    """A record that cannot be used; the message is one clear line."""
+
+
+def digest_of(files: Mapping[str, Path]) -> str:
+    """One short word for these files, by names that are the same wherever they are installed."""
+    found = hashlib.sha256()
+    for name, path in sorted(files.items()):
+        found.update(f"{name}\0".encode() + path.read_bytes() + b"\0")
+    return found.hexdigest()[:12]
+
+
+def driven_files() -> dict[str, Path]:
+    """What decides a run, by names that are the same wherever it is installed: code and signal databases."""
+    found = {path.name: path for path in dbc_dir().glob("*.dbc")}
+    for package, parts in DRIVEN.items():
+        root = Path(str(package.__file__)).parent
+        found |= {str(path.relative_to(root.parent)): path for part in parts for path in root.glob(f"{part}.py")}
+    return found
+
+
+@cache
+def digest() -> str:
+    """One short word for the code of this installation: runs of different code must not be mixed in one record."""
+    return digest_of(driven_files())
+
+
+def read(path: Path, kind: str) -> tuple[Header, list[Any]]:
+    """Header and results of a record. Raises RecordError, OSError."""
+    found = []
+    for number, line in enumerate(path.read_text().splitlines(keepends=True), 1):
+        if line.endswith("\n"):
+            try:
+                found.append(json.loads(line))
+            except json.JSONDecodeError:
+                raise RecordError(f"{path}:{number}: not a line of a record") from None
+    if not found or not isinstance(found[0], dict) or kind not in found[0]:
+        raise RecordError(f"{path} is not a record of the kind {kind!r}")
+    return found[0], found[1:]
+
+
+class Record(AbstractContextManager["Record"]):
+    """A record that is appended to, or begun. `results`: what it holds; `kept_as`: what its place held before."""
+
+    def __init__(self, path: Path, header: Header, *, resume: bool = True) -> None:
+        """One with another header is kept by another name, and without `resume` any is.
+
+        Raises RecordError where the file is no record of this kind, or is written to by another process, OSError.
+        """
+        self.path, self.results, self.kept_as = path, list[Any](), None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = path.open("a")
+        try:
+            self._lock()
+            whole_bytes = path.read_bytes().rfind(b"\n") + 1
+            if whole_bytes:
+                before, results = read(path, next(iter(header)))
+                if resume and before == header:
+                    self.results = results
+                    self._file.truncate(whole_bytes)
+                    return
+                self.kept_as = _put_aside(path)
+                self._file.close()
+                self._file = path.open("a")
+                self._lock()
+            else:
+                self._file.truncate(0)
+        except BaseException:
+            self._file.close()
+            raise
+        self._put(header)
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RecordError(f"{self.path} is being written by another process") from None
+
+    def add(self, result: Any) -> None:
+        self.results.append(result)
+        self._put(result)
+
+    def _put(self, line: Any) -> None:
+        print(json.dumps(line, ensure_ascii=False), file=self._file, flush=True)
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def _put_aside(path: Path) -> Path:
+    number = 1
+    while (kept := path.with_name(f"{path.stem}-before-{number}{path.suffix}")).exists():
+        number += 1
+    return path.rename(kept)
+
+
+# ---------------------------------------------------------------- work spread over processes
 
 
 def _begin_worker(parent: int) -> None:
@@ -64,31 +189,45 @@ def spread(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterator[R]
     pool.shutdown()
 
 
-class Progress:
-    """One line on stderr that is written over on a terminal, one every few seconds elsewhere."""
+def followed(
+    results: Iterable[R],
+    what: str,
+    total: int | None,
+    wrong: Callable[[R], str],
+    counted: str,
+    *,
+    record: Record | None = None,
+    to: TextIO | None = None,
+) -> Iterator[R]:
+    """The results as they come, kept in the `record`; one line on stderr says how the work goes on.
 
-    def __init__(self, what: str, total: int | None = None) -> None:
-        """`what` is counted; `total`: None where the end is not known."""
-        self._what, self._total = what, total
-        self._began_s = self._next_s = time.monotonic()
-        self._terminal = sys.stderr.isatty()
-
-    def __call__(self, done: int, more: str) -> None:
-        """So many are done; `more` is added."""
-        now_s = time.monotonic()
-        if now_s < self._next_s and done != self._total:
-            return
-        self._next_s = now_s + (0.2 if self._terminal else PROGRESS_EVERY_S)
-        rate = done / max(1e-9, now_s - self._began_s)
-        line = f"{done} {self._what}, {rate:.2f} {self._what}/s, {more}"
-        if self._total is not None:
-            minutes, seconds = divmod(round((self._total - done) / rate if rate else 0.0), 60)
-            left = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} left"
-            line = f"{done} of {self._total} {self._what}, {rate:.2f} {self._what}/s, {left}, {more}"
-        self.clear()
-        print(line, end="" if self._terminal else "\n", file=sys.stderr, flush=True)
-
-    def clear(self) -> None:
-        """Make room for another line."""
-        if self._terminal:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+    `what` is counted up to `total` (None where the end is not known), and so is what is `wrong`, in words ("": nothing
+    is), under the name `counted`; the words go to standard output, or `to` another place. The line is written over on a
+    terminal, and comes every few seconds elsewhere.
+    """
+    began_s = next_s = time.monotonic()
+    terminal = sys.stderr.isatty()
+    clear = "\r\033[K" if terminal else ""
+    failed = 0
+    try:
+        for done, one in enumerate(results, 1):
+            if record is not None:
+                record.add(one)
+            if words := wrong(one):
+                failed += 1
+                print(clear, end="", file=sys.stderr, flush=True)
+                if failed <= MANY:
+                    print(words if failed < MANY else f"{words}\n… further ones are counted only", file=to, flush=True)
+            now_s = time.monotonic()
+            if now_s >= next_s or done == total:
+                next_s = now_s + (0.2 if terminal else PROGRESS_EVERY_S)
+                rate = done / max(1e-9, now_s - began_s)
+                left = ""
+                if total is not None:
+                    minutes, seconds = divmod(round((total - done) / rate), 60)
+                    left = f" of {total}, {minutes // 60}:{minutes % 60:02d}:{seconds:02d} left"
+                line = f"{clear}{done} {what}{left}, {rate:.2f} {what}/s, {failed} {counted}"
+                print(line, end="" if terminal else "\n", file=sys.stderr, flush=True)
+            yield one
+    finally:
+        print(clear, end="", file=sys.stderr, flush=True)

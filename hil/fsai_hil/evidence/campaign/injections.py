@@ -545,16 +545,13 @@ def lost_bus(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
     rig.computer.lose_bus(p["why"], now_ns)
     rig.wire.on_bus_lost()
-    found = False
-    try_ns, pause_ns = now_ns + 10 * MS, 10 * MS
+    back_ms = pause_ms = 10
+    while back_ms < p["gone"]:
+        pause_ms = min(2 * pause_ms, 1000)
+        back_ms += pause_ms
 
     def tick(t_ns: int) -> None:
-        nonlocal found, try_ns, pause_ns
-        while not found and t_ns >= try_ns:
-            if try_ns - now_ns >= p["gone"] * MS:
-                found = True
-                rig.computer.find_bus(t_ns)
-            pause_ns = min(2 * pause_ns, 1000 * MS)
-            try_ns += pause_ns
+        if t_ns == now_ns + back_ms * MS:
+            rig.computer.find_bus(t_ns)
 
     fault.ticks.append(tick)

@@ -14,7 +14,7 @@ from typing import Any, Final
 from fsai_hil.evidence import work
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Task
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
-from fsai_hil.evidence.record import Header, digest
+from fsai_hil.evidence.work import Header, digest
 
 KIND: Final = "campaign"  # of record
 BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended

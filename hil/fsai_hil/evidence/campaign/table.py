@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
-from fsai_hil.evidence.record import Header
+from fsai_hil.evidence.work import Header
 
 Run = Mapping[str, Any]
 HEAD: Final = (

@@ -9,8 +9,13 @@ from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.demands import ANY, IMPLAUSIBLE_LOST_MS, NOTHING, Demand, End, Onset
-from fsai_hil.evidence.campaign.implausibility import Streak, count_streaks, steering_streaks, wheel_streaks
-from fsai_hil.evidence.campaign.observation import Observation
+from fsai_hil.evidence.campaign.observation import (
+    Observation,
+    Streak,
+    count_streaks,
+    steering_streaks,
+    wheel_streaks,
+)
 from fsai_hil.rules.bus_view import IDLE
 from fsai_hil.rules.numbers import LAUNCH_NS, MS
 from fsai_vcu.core.vehicle.parameters import CARS

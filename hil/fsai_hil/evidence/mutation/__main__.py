@@ -7,7 +7,7 @@ import os
 import random
 import sys
 import tomllib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Container, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -16,8 +16,7 @@ from pathlib import Path
 from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation import trial
 from fsai_hil.evidence.mutation.mutants import Key, Mutant
-from fsai_hil.evidence.record import Record, digest_of
-from fsai_hil.evidence.work import Progress
+from fsai_hil.evidence.work import Record, digest_of, followed
 
 RECORD = CHECKOUT / "out" / "mutation" / "record.jsonl"
 LIST = Path("tests/evidence/survivors.toml")
@@ -96,21 +95,21 @@ def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Names
     return chosen
 
 
-def _try(baseline: trial.Baseline, chosen: list[Mutant], jobs: int, digest: str) -> list[Result]:
+def _try(baseline: trial.Baseline, chosen: list[Mutant], listed: set[Key], jobs: int, digest: str) -> list[Result]:
     """Whether each mutant survives, on disk line by line: a run of the same sources goes on where one was stopped."""
     with Record(RECORD, {"digest": digest}) as record:
-        done = {tuple(key): survives for key, survives in record.results}
-        results = [(mutant, done[mutant.key]) for mutant in chosen if mutant.key in done]
-        if results:
-            print(f"{len(results)} were tried before and are not tried again", flush=True)
-        waiting = [mutant for mutant in chosen if mutant.key not in done]
-        progress = Progress("mutants", len(waiting))
-        for number, (mutant, survives) in enumerate(trial.outcomes(baseline, waiting, jobs), 1):
-            record.add((mutant.key, survives))
-            results.append((mutant, survives))
-            progress(number, f"{sum(one for _, one in results)} survive")
-    progress.clear()
-    return results
+        tried = {tuple(key) for key, _ in record.results}
+        waiting = [mutant for mutant in chosen if mutant.key not in tried]
+        if len(waiting) < len(chosen):
+            print(f"{len(chosen) - len(waiting)} were tried before and are not tried again", flush=True)
+        outcomes = ((mutant.key, survives) for mutant, survives in trial.outcomes(baseline, waiting, jobs))
+
+        def survived(one: tuple[Key, bool]) -> str:
+            return f"survives: {' | '.join(one[0][:3])}" if one[1] and one[0] not in listed else ""
+
+        deque(followed(outcomes, "mutants", len(waiting), survived, "survive", record=record), 0)
+        survives = {tuple(key): survives for key, survives in record.results}
+    return [(mutant, survives[mutant.key]) for mutant in chosen]
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -131,7 +130,7 @@ def _run(options: argparse.Namespace) -> int:
         print(f"{len(baseline.seconds)} tests, {sum(baseline.seconds.values()):.0f} s", flush=True)
         reached = f"nothing: every line and branch of {', '.join(trial.COVERED)} is reached"
         print(f"not covered: {baseline.missing or reached}")
-    results = _try(baseline, chosen, options.jobs, digest)
+    results = _try(baseline, chosen, listed, options.jobs, digest)
     figures = table(results, listed)
     print(*figures, sep="\n")
     wrong = [(mutant, survives) for mutant, survives in results if survives is not (mutant.key in listed)]
