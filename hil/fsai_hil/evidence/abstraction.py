@@ -11,14 +11,13 @@ states.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cache
-from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.rules.numbers import CYCLE_NS, S
-from fsai_hil.rules.seen import marks_of
+from fsai_hil.rules.seen import Parts, marks_of
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.gate import GateState
@@ -107,26 +106,12 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
     }
 
 
-class _Fields:
-    """The fields of a dataclass that are mapped: times, and others."""
-
-    def __init__(self, made: type[Any]) -> None:
-        specs = [spec for spec in fields(made) if spec.name not in _OF_ITSELF]
-        times = [spec for spec in specs if spec.name.endswith("_ns") and spec.name not in _NO_TIMES]
-        self.others = tuple(spec.name for spec in specs if spec not in times)
-        self.others_of = attrgetter(*self.others)
-        self.times = tuple(spec.name for spec in times)
-        self.times_of = attrgetter(*self.times) if len(times) > 1 else lambda value: (getattr(value, self.times[0]),)
-        self._names = (*self.others, *self.times)
-        self._never = [None if spec.default is MISSING else spec.default for spec in times]
-
-    def values(self, others: Sequence[object], times: Iterator[int | None]) -> dict[str, Any]:
-        """Everything by its name, the next of the `times` by theirs; one that never was is as before it ever is."""
-        been = [never if time is None else time for never, time in zip(self._never, times, strict=False)]
-        return dict(zip(self._names, (*others, *been), strict=True))
+def _parts(made: type[Any]) -> Parts:
+    names = [spec.name for spec in fields(made)]
+    return Parts(made, [name for name in names if name.endswith("_ns") and name not in _NO_TIMES], _OF_ITSELF)
 
 
-_SUPERVISOR, _GATE, _BRIDGE = _Fields(SupervisorState), _Fields(GateState), _Fields(BridgeState)
+_SUPERVISOR, _GATE, _BRIDGE = map(_parts, (SupervisorState, GateState, BridgeState))
 CLOCKS: Final = (*_SUPERVISOR.times, *_GATE.times, *_BRIDGE.times, *_INSIDE)
 
 

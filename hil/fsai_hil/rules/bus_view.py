@@ -14,7 +14,7 @@ from typing import Any, Final
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.numbers import MS, S
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.rules.seen import NOBODY, Order, Process, Seen, Violation, apart, marks_of, put_back
+from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation, marks_of
 from fsai_hil.rules.wheels import Belief, Wheels
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -155,13 +155,13 @@ class BusView:
         """
         self._forget(now_ns, data_may_be_lost)
         rpm, wheel_ages = self.wheels.saved(now_ns)
-        plain, ages = apart(self.seen, now_ns)
-        return (rpm, *plain), (*ages, *wheel_ages)
+        ages = [-1 if t_ns is None else now_ns - t_ns for t_ns in PARTS.times_of(self.seen)]
+        return (rpm, *PARTS.others_of(self.seen)), (*ages, *wheel_ages)
 
     def load(self, saved: Saved, now_ns: int) -> None:
         """Put back what was saved."""
         (rpm, *plain), ages = saved
-        put_back(self.seen, plain, ages, now_ns)
+        self.seen = Seen(**PARTS.values(plain, [None if age < 0 else now_ns - age for age in ages]))
         self.was_off, self.cycle_ns, self.toggle = False, None, None
         self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
 

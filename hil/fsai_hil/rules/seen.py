@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from operator import attrgetter
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from fsai_hil.rules import numbers as n
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -111,6 +111,27 @@ class Seen:
     whole: bool = True  # the last cycle that was made went out whole
 
 
+class Parts:
+    """The fields of a dataclass apart: its times, and the others."""
+
+    def __init__(self, made: type[Any], times: Collection[str], without: Collection[str] = ()) -> None:
+        """`times`: their names; `without`: of the fields that are left out."""
+        specs = [spec for spec in fields(made) if spec.name not in without]
+        self.others = tuple(spec.name for spec in specs if spec.name not in times)
+        self.others_of = attrgetter(*self.others)
+        self.times = tuple(spec.name for spec in specs if spec.name in times)
+        self.times_of = (
+            attrgetter(*self.times) if len(self.times) > 1 else lambda value: (getattr(value, self.times[0]),)
+        )
+        self._names = (*self.others, *self.times)
+        self._never = [None if spec.default is MISSING else spec.default for spec in specs if spec.name in times]
+
+    def values(self, others: Sequence[object], times: Iterable[int | None]) -> dict[str, Any]:
+        """Everything by its name, the next of the `times` by theirs; one that never was is as before it ever is."""
+        been = [never if time is None else time for never, time in zip(self._never, times, strict=False)]
+        return dict(zip(self._names, (*others, *been), strict=True))
+
+
 # The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
 TIMES: Final[Mapping[str, tuple[int, ...]]] = {
     "status_ns": (n.STATUS_FRESH_NS, n.STATUS_LOST_NS),
@@ -129,31 +150,15 @@ TIMES: Final[Mapping[str, tuple[int, ...]]] = {
     "complete_ns": (n.SEND_LOST_NS,),
     "steered_ns": (),
 }
+PARTS: Final = Parts(Seen, TIMES, ("stopped_ns",))  # which is of a log, or where stops may be hidden
 EDGES: Final = (
-    *TIMES.values(),
+    *(TIMES[name] for name in PARTS.times),
     (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
     (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
     (n.STILL_NS,),
     (n.COUNTED_NS,),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""
-# `stopped_ns` is of a log, or where stops may be hidden.
-PLAIN: Final = tuple(one.name for one in fields(Seen) if one.name not in (*TIMES, "stopped_ns"))
-_plain_of, _times_of = attrgetter(*PLAIN), attrgetter(*TIMES)
-_put_plain = [getattr(Seen, name).__set__ for name in PLAIN]
-_put_times = [getattr(Seen, name).__set__ for name in TIMES]
-
-
-def apart(seen: Seen, now_ns: int) -> tuple[tuple[object, ...], list[int]]:
-    """What is no time, and the ages of the times."""
-    return _plain_of(seen), [-1 if t_ns is None else now_ns - t_ns for t_ns in _times_of(seen)]
-
-
-def put_back(seen: Seen, plain: Sequence[object], ages: Sequence[int], now_ns: int) -> None:
-    for put, value in zip(_put_plain, plain, strict=True):
-        put(seen, value)
-    for put, age in zip(_put_times, ages, strict=False):
-        put(seen, None if age < 0 else now_ns - age)
 
 
 def marks_of(status: VcuStatus) -> frozenset[str]:
