@@ -50,20 +50,6 @@ def wait_for_car(rig: RosRig, states: list[VehicleState]) -> None:
     rig.spin_until(lambda: bool(states) and states[-1].as_state == VehicleState.AS_OFF, "AS_OFF in /vehicle_state")
 
 
-def test_requests_are_refused_without_a_car_and_taken_in_as_off(rig: RosRig, bus: str) -> None:
-    _, states = start_bridge(rig, bus)
-    assert not rig.ask(SetMode, "/set_mode", mode="autonomous").success
-    with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)) as car:
-        wait_for_car(rig, states)
-        assert rig.ask(SetMode, "/set_mode", mode="autonomous").success
-        rig.spin_until(lambda: states[-1].mode == "autonomous", "the mode in /vehicle_state")
-        assert rig.ask(Trigger, "/emergency_brake").success
-        rig.spin_until(lambda: car.last_status().estop_request, "ESTOP_REQUEST on the bus")
-        rig.spin_until(lambda: bool(states[-1].emergency), "the reason in /vehicle_state")
-        assert rig.ask(Trigger, "/reset").success
-        rig.spin_until(lambda: not car.last_status().estop_request, "ESTOP_REQUEST cleared on the bus")
-
-
 @pytest.mark.parametrize("ahead_s", [0, 6])
 def test_a_command_that_is_none_is_refused_and_reported(rig: RosRig, bus: str, ahead_s: int) -> None:
     """One with a throttle that is no number; one stamped in the future."""

@@ -42,6 +42,9 @@ def test_the_emergency_brake_is_asked_for_and_reset_by_verbs(
         status = main([*arguments, "--namespace", namespace])
         return (status, *capsys.readouterr())
 
+    state = json.loads(verb("status", "--json")[1])
+    assert (state["mode"], state["status_age_s"]) == ("manual", None)
+    assert any("0x520" in condition for condition in state["why_not_driving"])
     assert json.loads(verb("emergency-brake", "--json")[1]) == {"success": True, "message": "ESTOP_REQUEST is latched"}
     status, out, err = verb("reset")  # no car has said its AS state
     assert (status, out, err.count("\n")) == (1, "", 1) and err.startswith("reset refused: ")
