@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor
 from fsai_hil.simulator.tracks import Track, random_circuit, small_oval
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.driving import ConeColor, Motion, Plan
 from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
 from fsai_vcu.core.planning.pose import lengths_along
@@ -51,6 +53,17 @@ def test_the_line_bends_less_than_the_middle_of_the_lane(track: Track) -> None:
     assert squared_curvature(race_line(track).xy_m) < 0.9 * squared_curvature(track.centreline_m)
 
 
+@cache
+def _mapped() -> tuple[Ride, Plan]:
+    ride = Ride(OVAL, laps=4)
+    return ride, ride.until_mapped()
+
+
+def mapped() -> tuple[Ride, Plan]:
+    """A ride of its own that has just got its first path of the map, and that path."""
+    return copy.deepcopy(_mapped())
+
+
 def test_every_look_has_a_path_and_lap_two_races() -> None:
     ride = Ride(OVAL, laps=2)
     mapped_from_m = ride.until_mapped() and ride.motion.distance_m  # step asserts the paths
@@ -66,8 +79,7 @@ def test_every_look_has_a_path_and_lap_two_races() -> None:
 
 
 def test_the_path_comes_from_the_car_onto_the_line() -> None:
-    ride = Ride(OVAL)
-    first = ride.until_mapped()
+    ride, first = mapped()
     second = ride.step()
     assert math.hypot(*first.path_m[0]) < 0.3
     turned = np.abs(np.diff(np.unwrap(np.arctan2(*np.diff(first.path_m[:40], axis=0).T[::-1]))))
@@ -92,8 +104,7 @@ def move_cone(ride: Ride, ahead_m: float, inward_m: float) -> int:
 
 
 def test_a_moved_cone_is_avoided_and_raced_around() -> None:
-    ride = Ride(OVAL, laps=4)
-    ride.until_mapped()
+    ride, _ = mapped()
     cone = ride.track.cones_xy_m[move_cone(ride, 52.0, 0.7)]
     beside = []  # the moved cone: laps and whether the path is the map's
     while (plan := ride.step()).laps < 3:
@@ -104,16 +115,14 @@ def test_a_moved_cone_is_avoided_and_raced_around() -> None:
 
 
 def test_a_cone_seen_on_the_line_outranks_the_map() -> None:
-    ride = Ride(OVAL)
-    ride.until_mapped()
+    ride, _ = mapped()
     move_cone(ride, 9.0, 1.2)
     plans = [ride.step() for _ in range(4)]
     assert not plans[-1].mapped and "cone" in plans[-1].note
 
 
 def test_a_car_lost_in_the_map_follows_the_lane() -> None:
-    ride = Ride(OVAL)
-    ride.until_mapped()
+    ride, _ = mapped()
     elsewhere = ride.motion
     ride.motion = replace(elsewhere, x_m=elsewhere.x_m + 40.0, yaw_rad=elsewhere.yaw_rad + 1.0)
     plans = [ride.step() for _ in range(8)]
@@ -133,8 +142,7 @@ def test_a_map_closed_at_the_wrong_place_is_given_up(monkeypatch: pytest.MonkeyP
 
 
 def test_confidence_falls_as_looks_do_not_confirm_the_map() -> None:
-    ride = Ride(OVAL)
-    ride.until_mapped()
+    ride, _ = mapped()
     sure = ride.step().confidence
     ride.sensor = ConeSensor(replace(OVAL, cones_xy_m=OVAL.cones_xy_m + 1000.0), seed=1)
     first, second = ride.step(), ride.step()
@@ -143,8 +151,7 @@ def test_confidence_falls_as_looks_do_not_confirm_the_map() -> None:
 
 
 def test_a_lap_after_joining_the_path_stays_where_it_was() -> None:
-    ride = Ride(OVAL, laps=4)
-    ride.until_mapped()
+    ride, _ = mapped()
     before: list[tuple[float, float]] = []
     jumps = []
     for _ in range(round(1.3 * OVAL.length_m / STEP_M)):
