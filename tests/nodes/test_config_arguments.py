@@ -112,7 +112,6 @@ def test_a_node_takes_the_file_notifies_systemd_and_is_local(
     [
         ("composed", {}, False, False, ""),
         ("cone_detector", {_RANGE: "LOCALHOST"}, False, False, ""),
-        ("cone_detector", {"ROS_LOCALHOST_ONLY": "1"}, False, False, ""),
         ("cone_detector", {_RANGE: "SUBNET"}, True, False, "transport: UDP, on every network"),
         (
             "cone_detector",
