@@ -192,6 +192,7 @@ def chain(interface: str) -> Iterator[Chain]:
         operator = RosOperator(stack)
         try:
             operator.await_bridge(START_S)
+            operator.await_state(lambda _: True, START_S, "the bridge is active and reports")
             stack.check_alive()
             yield Chain(stack, operator, interface, folder)
         finally:
