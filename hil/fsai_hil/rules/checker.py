@@ -15,8 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from cantools.database.errors import EncodeError
-
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS, BusView
 from fsai_hil.rules.frame_rules import CHECKS, RULES
@@ -29,6 +27,8 @@ from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer, Image
 from fsai_vcu.interface.reserved import AI_IDS
+
+from cantools.database.errors import EncodeError  # isort: skip  after ours, which load no more of cantools than needed
 
 __all__ = ["MS", "RULES", "WireChecker", "check_candump", "checker_for", "read_candump"]
 
