@@ -22,7 +22,7 @@ def test_quick_prints_a_table_and_writes_every_figure(
     assert found["quick"] is True and found["machine"]["python"] and found["versions"]["cantools"]
     by_name = {each["name"]: each for each in found["results"]}
     node = [NODE_START] if find_spec("rclpy") and find_spec("fsai_msgs") else []
-    logs = [f"{name} random, wall" for name in ("decode", "values", "parquet", "mcap", "check", "stats")]
+    logs = [f"{name} random, wall" for name in ("decode", "values", "check", "stats", "parquet", "mcap")]
     starts = ["decode a frame", "encode a frame", "answer a 0x520", "start to a first frame", *node]
     assert list(by_name) == [*starts, *logs, "mf4, wall", "drive acceleration"]
     for each in by_name.values():
