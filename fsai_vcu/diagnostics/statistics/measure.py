@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from enum import Enum
 from itertools import pairwise
@@ -199,24 +200,27 @@ def _measure_channel(
         if len(back):
             backwards, backwards_at_s = len(back), int(frames.t_ns[back[0]]) / S
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
-    duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
     errors = (frames.flags & ERROR) != 0
     words: Counter[str] = Counter()
     for row in np.flatnonzero(errors).tolist():
         words[", ".join(error_words(int(frames.can_id[row]), frames.payload(row)))] += 1
     layouts = decoder.databases.layouts
     bits = np.zeros(len(frames), np.uint16)
-    messages: dict[int, MessageStatistics] = {}
-    compared = [np.zeros(0, np.int64)]
-    for rows, key, of_message in _by_message(frames):
+    bus_ns = (int(frames.t_ns[0]), int(frames.t_ns[-1])) if len(frames) else (0, 0)
+
+    def measured(part: tuple[Ints, int, Frames]) -> MessageStatistics:
+        rows, key, of_message = part
         bits[rows] = its_bits = wire_bits(of_message)
         layout = layouts.get(key)
-        if layout is not None and layout.name in _STATUS | _WHEELS:
-            compared.append(rows)
         expected_ns = expected_period_ns(key, layout, revision)
-        bus_ns = int(frames.t_ns[0]), int(frames.t_ns[-1])
-        messages[key] = _measure_message(of_message, its_bits, layout, expected_ns, bus_ns, bitrate)
-    few = frames.only(np.sort(np.concatenate(compared)))
+        return _measure_message(of_message, its_bits, layout, expected_ns, bus_ns, bitrate)
+
+    parts = list(_by_message(frames))
+    with ThreadPoolExecutor() as pool:  # most of it is sorting, which needs no lock of the interpreter
+        messages = dict(zip((key for _, key, _ in parts), pool.map(measured, parts), strict=True))
+    compared = [rows for rows, key, _ in parts if key in layouts and layouts[key].name in _STATUS | _WHEELS]
+    duration_ns = bus_ns[1] - bus_ns[0]
+    few = frames.only(np.sort(np.concatenate([np.zeros(0, np.int64), *compared])))
     described = {} if layouts.keys().isdisjoint(messages) else layouts
     silent = {key: layout for key, layout in described.items() if key not in messages}
     return BusStatistics(
