@@ -27,6 +27,7 @@ from loop_rig import (
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiStatus, VcuStatus
@@ -454,7 +455,9 @@ def test_a_gone_edge_leaves_a_driving_car_to_the_reactions(loop: ThreadedLoop, s
         loop._link.close()
         before = len(received)
         assert eventually(lambda: len(received) > before + 20)
-        assert "stopped" not in (loop.loop._bridge.report(time.monotonic_ns()).emergency or "")
+        emergency = loop.loop._bridge.report(time.monotonic_ns()).emergency
+        late = (Reason.LOOP_FAULT.words, Reason.BACKLOG.words)  # a machine that pauses is no end of the software
+        assert emergency is None or emergency.startswith(late)
         assert loop.thread.is_alive()
     loop.thread.join(WAIT_S)
     assert not loop.thread.is_alive(), "with the car silent there is nothing left to do"

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
-
 from chain.conftest import STOP_S, Chain, rules_kept
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_vcu.interface.enums import AsState
 
 
-@pytest.mark.long
 def test_manual_while_driving_is_a_controlled_stop(chain: Chain, drive: BusWatch) -> None:
     accepted, message = chain.operator.set_mode("manual")
     assert accepted, message
