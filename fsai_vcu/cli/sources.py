@@ -84,6 +84,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
 
     None without a frame at all, which was reported then. Raises UserError where no frame is in the part.
     """
+    from fsai_vcu.diagnostics.explain.record import NoFrames
     from fsai_vcu.diagnostics.verdict import judged as judged_frames
 
     part, progress = part_of(args, decoding), Progress()
@@ -101,7 +102,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
             bitrate=rate,
             begin_ns=sources.first_ns,
         )
-    except ValueError as error:
+    except NoFrames as error:
         raise UserError(f"no frame of {sources.name} is in that part") from error
     return found._replace(verdict=found.verdict.unread(sources.status, sources.lost_here))
 

@@ -17,6 +17,7 @@ from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained, render
 from fsai_vcu.diagnostics.explain.signals import AS_STATE
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
+from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.verdict import Verdict
 from fsai_vcu.diagnostics.verdict import judged as judged_frames
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
@@ -263,6 +264,13 @@ def test_batches_of_an_adapter_are_no_frozen_status(drive: Frames, batch_ms: int
     assert set(kinds(held_back)) == {"gap"}, "they leave pauses"
 
 
+@pytest.mark.parametrize("every", [2, 4])
+def test_toggles_that_were_not_recorded_are_no_frozen_status(drive: Frames, every: int) -> None:
+    places = np.flatnonzero(drive.can_id == 0x520)
+    thinned = drive.only(np.delete(np.arange(len(drive)), np.setdiff1d(places, places[::every])))
+    assert kinds(thinned) == ["period"]
+
+
 @pytest.mark.parametrize("seen", ["from the end of the bridge on", "with its end"])
 def test_a_vcu_alone_is_no_frozen_one(seen: str) -> None:
     alone = branch(off(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 2.0)
@@ -474,6 +482,10 @@ def test_a_car_on_another_bus_is_not_called_ok(drive: Frames) -> None:
     assert verdict.line().startswith("UNKNOWN: 0x520 is on can1 too: only the car on can0 was judged")
     sensors = judged(in_order(first, other.only(~np.isin(other.can_id, VCU_IDS))))
     assert not sensors.unknown
+    gone = in_order(first.only(first.t_ns < drive.t_ns[-1] - 2 * S), other.only(other.t_ns > drive.t_ns[-1] - 2 * S))
+    seconds = (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S
+    part = judged_frames(gone, part=Part(f"{seconds - 1.5}")).verdict
+    assert part.line().startswith("UNKNOWN: 0x520 is on can1 too"), "the log's car was on can0"
 
 
 def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:

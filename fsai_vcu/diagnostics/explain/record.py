@@ -141,9 +141,10 @@ class Series:
         return self.spans[place] if place >= 0 else None
 
     def since(self, times: Ints) -> Ints:
-        """When the value in force at each of `times` began; 0 where the log does not have the signal."""
+        """When the value in force at each of `times` began, the first one before; 0 where there is no such signal."""
         begin_ns = self.spans.begin_ns
-        return begin_ns[np.searchsorted(begin_ns, times, side="right") - 1] if len(self) else np.zeros_like(times)
+        places = np.maximum(np.searchsorted(begin_ns, times, side="right") - 1, 0)
+        return begin_ns[places] if len(self) else np.zeros_like(times)
 
     def last(self, t_ns: int, *values: float) -> Span | None:
         """The last span with one of these values (none named: any but 0) that begins up to and including `t_ns`."""
@@ -203,6 +204,10 @@ class Answers(NamedTuple):
         return zip(*(column[rows].tolist() for column in self[:3]), strict=True)
 
 
+class NoFrames(ValueError):
+    """There is nothing to be explained."""
+
+
 class Record:
     """The frames of one car's bus, by message and signal.
 
@@ -213,10 +218,10 @@ class Record:
     def __init__(self, frames: Frames, revision: str | None = None, databases: Databases | None = None) -> None:
         """revision: guessed from the frames where none is given. `databases` replaces the revision's own.
 
-        Raises ValueError for a log without a frame, and for an unknown revision.
+        Raises NoFrames, and ValueError for an unknown revision.
         """
         if not len(frames):
-            raise ValueError("there is no frame to be explained")
+            raise NoFrames("there is no frame to be explained")
         self.revision, self.revision_reason = (
             (revision_named(revision), "given") if revision else guess_revision(frames)
         )
@@ -395,9 +400,11 @@ class Record:
 
         It may stand where the VCU misses the echo (AI_COMMS_LOST), where the car does not drive itself (ASMS off, or
         0x120 says so), after a drive, and while the VCU comes up: for a second where the log has no toggle before, at 0
-        in AS_INIT for as long as it likes.
+        in AS_INIT for as long as it likes. Of a log that has every second 0x520 only, this is not known.
         """
         asked, echo, times = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO), self.times(sig.STATUS)
+        if len(times) < 2 or np.median(np.diff(times)) > 1.5 * PERIOD_NS:
+            return ()
         state, switch, system = map(self.series, (sig.AS_STATE, sig.AS_SWITCH, sig.SM_SYS))
         begun = np.arange(len(asked)) > 0
         last_ns = asked.end_ns - 1

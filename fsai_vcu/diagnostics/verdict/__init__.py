@@ -160,7 +160,7 @@ def judged(
     """All frames of a log, measured and judged; of those of a part with what came before and behind it as causes.
 
     Figures are of the part alone; of what happened, what has a moment in it counts. begin_ns: when the log began, where
-    its first frame is not among these. Raises ValueError for no frame.
+    its first frame is not among these. Raises explain.record.NoFrames.
     """
     part = part or Part()
     frames = part.always().of(frames)
@@ -184,12 +184,12 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
     remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
     for one in senders:
-        where = (one.begin_ns, remedy, one.can_ids, record.channel)
+        where = (one.begin_ns, remedy, one.can_ids, whole.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in senders for can_id in other.can_ids}
     for mixed in cars:
         remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
-        where = (mixed.begin_ns, remedy, mixed.can_ids, record.channel)
+        where = (mixed.begin_ns, remedy, mixed.can_ids, whole.channel)
         findings.append(Finding("problem", "intruder", mixed.sentence, *where))
         shared |= set(VCU_IDS)
     absent = set() if record.ai_speaks else set(AI_IDS)
@@ -202,7 +202,7 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
 
     def told(bus: BusStatistics, finding: Finding) -> bool:
         if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
-            if cars and bus.channel == record.channel:
+            if cars and bus.channel == whole.channel:
                 return True
             return bus.handshake.unanswered + bus.handshake.above_100_ms <= echoes
         begun_ns = finding.t_ns or 0
@@ -226,7 +226,8 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     if not cars:
         findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
-    return Verdict(whole.begin_ns, explanation, tuple(findings), (*_unknown(record), *_not_judged(record, buses)))
+    unknown = (*_unknown(record), *_not_judged(whole, buses))
+    return Verdict(whole.begin_ns, explanation, tuple(findings), unknown)
 
 
 def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
@@ -391,12 +392,12 @@ def _whose(ids: tuple[int, ...], messages: int) -> str:
     return f"{len(ids)} messages ({', '.join(f'0x{can_id:03X}' for can_id in ids)})"
 
 
-def _not_judged(record: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
-    """A second car, on another bus: its periods are judged, and nothing of what it did."""
+def _not_judged(whole: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
+    """A second car, on another bus than the log's: its periods are judged, and nothing of what it did."""
     cars = [bus.channel for bus in buses if any(m.can_id == STATUS and not m.extended for m in bus.messages)]
-    others = ", ".join(channel for channel in cars if channel != record.channel)
+    others = ", ".join(channel for channel in cars if channel != whole.channel)
     if others:
-        yield f"0x520 is on {others} too: only the car on {record.channel} was judged; judge each bus by itself"
+        yield f"0x520 is on {others} too: only the car on {whole.channel} was judged; judge each bus by itself"
 
 
 def _unknown(record: Record) -> Iterator[str]:

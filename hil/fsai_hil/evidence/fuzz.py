@@ -83,6 +83,11 @@ def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     return done
 
 
+def _broken(found: Done) -> str:
+    again = "BROKEN (again: python -m fsai_hil.evidence.fuzz --jobs 1 --seed"
+    return "\n".join(f"{again} {seed}):\n{words}" for seed, words in found.failures)
+
+
 def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
     """One seed after the other in `jobs` processes, with progress, until the time is over or a rule is broken."""
     began_s = time.monotonic()
@@ -92,7 +97,7 @@ def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
         lambda seed: seed == first_seed or not (done.failures or time.monotonic() - began_s > 60.0 * minutes), seeds
     )
     try:
-        for found in followed(spread(batch, in_time, jobs), "seeds", None, lambda found: "", "broke a rule"):
+        for found in followed(spread(batch, in_time, jobs), "seeds", None, _broken, "broke a rule"):
             done.add(found)
     except KeyboardInterrupt:
         print("interrupted: this is what was done until then", flush=True)
@@ -160,8 +165,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.seeded:
         return 0 if seek_all(options.jobs) else 1
     done = campaign(options.seed, options.jobs, options.minutes)
-    for seed, words in done.failures:
-        print(f"\nBROKEN (again: python -m fsai_hil.evidence.fuzz --jobs 1 --seed {seed}):\n{words}")
     print("\nBROKEN: see above." if done.failures else "\nEvery rule held on the wire.")
     return 1 if done.failures else 0
 
