@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     gc.set_threshold(100_000)  # what a verb loads stays: looking through it for garbage again and again takes long
     bytes(8 << 20)  # after this the C library keeps what is freed for the next columns (mallopt(3), M_MMAP_THRESHOLD)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no verb multiplies matrices: other threads would only spin
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: other threads would only spin
     try:
         try:
             return _run(arguments)
