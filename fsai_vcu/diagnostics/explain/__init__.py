@@ -39,7 +39,7 @@ __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry",
 
 
 SEPARATE: Final = 5  # of a kind and cause are told one by one
-MOST_INCIDENTS: Final = 300  # of a kind: a log with more is none of a car
+MOST_INCIDENTS: Final = 100  # of a kind: a log with more is none of a car
 _TOO_MANY: Final = (
     f"more than {MOST_INCIDENTS} incidents of a kind: only the first ones are explained; is this the car's bus?"
 )
