@@ -261,9 +261,9 @@ class Driving:
             autonomous_at_power_up=True,
             # As for the official simulator: this car does not stay in AS_READY for 5 s.
             service_brake="motor",
-            # A machine that pauses is not the silence that is meant here.
-            command_stale_ms=1000.0,
-            command_lost_ms=2000.0,
+            # A machine that pauses is not the silence that is meant here: car and controller are in this process.
+            **{f"{silent}_stale_ms": 1000.0 for silent in ("command", "vcu", "feedback")},
+            **{f"{silent}_lost_ms": 2000.0 for silent in ("command", "vcu", "feedback")},
         )
         confirmations = rig.tester.create_publisher(ResetConfirmation, "/reset_confirmation", qos.CONFIRMATION)
         self.commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", promise)
