@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         return sources.status
     chunks = chain(first, source)
     topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
-    topics.make(first[0], decoding)  # one that is new while a client connects may stay unknown to the server
+    topics.make(decoding)  # one that is new while a client connects may stay unknown to the server
     try:
         server = foxglove.start_server(name=f"fsai-vcu {sources.name}", host=args.host, port=args.port)
     except (OSError, RuntimeError) as error:
@@ -107,25 +107,20 @@ class Topics:
         self._channel = channel
         self._channels: dict[str, Any] = {}
 
-    def make(self, frames: Frames, decoding: Decoding) -> None:
-        """The topics of these frames, with nothing in them yet."""
-        for name in decoding.decoder.tables(frames) if len(frames) else ():
-            for topic in (f"/can/{name}", *([WORDS[name][0]] if name in WORDS else [])):
-                self._topic(topic)
+    def make(self, decoding: Decoding) -> None:
+        """The topic of every message that may come, with nothing in it yet."""
+        names = {layout.name for databases in decoding.possible() for layout in databases.layouts.values()}
+        for topic in sorted({f"/can/{name}" for name in names} | {WORDS[name][0] for name in names & WORDS.keys()}):
+            self._channels[topic] = self._channel(topic)
 
     def show(self, frames: Frames, decoding: Decoding) -> None:
         for table in decoding.decoder.tables(frames).values() if len(frames) else ():
             name = table.layout.name
             columns = {series.name: _finite(series.values.tolist()) for series in table.series.values()}
             for row, t_ns in enumerate(table.t_ns.tolist()):
-                self._topic(f"/can/{name}").log({each: values[row] for each, values in columns.items()}, log_time=t_ns)
+                self._channels[f"/can/{name}"].log({each: values[row] for each, values in columns.items()}, log_time=t_ns)
             if name in WORDS and len(table.t_ns):
                 topic, signals = WORDS[name]
                 last = len(table.t_ns) - 1
                 words = {signal: table.series[signal].label(last) for signal in signals if signal in table.series}
-                self._topic(topic).log(words, log_time=int(table.t_ns[-1]))
-
-    def _topic(self, name: str) -> Any:
-        if name not in self._channels:
-            self._channels[name] = self._channel(name)
-        return self._channels[name]
+                self._channels[topic].log(words, log_time=int(table.t_ns[-1]))

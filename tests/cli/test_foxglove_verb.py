@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from subprocess import PIPE
 
@@ -31,14 +31,14 @@ SENT = (
 
 @pytest.mark.parametrize("live", [False, True])
 def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> None:
-    """Of half a minute of a log, played as fast as they were recorded, and of a bus."""
+    """Of half a minute of a log, played as fast as they were recorded, and of a bus that was silent at first."""
     websocket = pytest.importorskip("websocket", reason="websocket-client is not installed: it comes with selenium")
     path = tmp_path / "run.log"
     lines = (f"({1000 + n / 100:.6f}) can0 {f.can_id:X}#{f.data.hex()}\n" for n in range(3_000) for f in SENT)
     path.write_text("".join(lines))
     source = f"loopback:foxglove-{os.getpid()}" if live else str(path)
     command = [sys.executable, "-m", "fsai_vcu.cli.main", "foxglove", source, "--port", "0"]
-    with talking(source, *SENT) if live else nullcontext(), subprocess.Popen(command, stdout=PIPE, text=True) as server:
+    with ExitStack() as stack, subprocess.Popen(command, stdout=PIPE, text=True) as server:
         try:
             assert server.stdout is not None
             where = server.stdout.readline().split()[0]
@@ -51,10 +51,13 @@ def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> Non
                 if isinstance(message, bytes):  # a byte for its kind, the subscription, the time, the message
                     said[topics[int.from_bytes(message[1:5], "little")]] = json.loads(message[13:])
                     continue
-                for channel in json.loads(message).get("channels", []):
-                    topics[channel["id"]] = channel["topic"]
-                    wanted = {"id": channel["id"], "channelId": channel["id"]}
-                    client.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
+                words = json.loads(message)
+                assert words["op"] != "status", words
+                topics |= (new := {channel["id"]: channel["topic"] for channel in words.get("channels", [])})
+                wanted = [{"id": number, "channelId": number} for number in new]
+                client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+                if live and new:
+                    stack.enter_context(talking(source, *SENT))
             client.close()
         finally:
             server.send_signal(signal.SIGINT)
