@@ -116,9 +116,10 @@ class Topics:
     def show(self, frames: Frames, decoding: Decoding) -> None:
         for table in decoding.decoder.tables(frames).values() if len(frames) else ():
             name = table.layout.name
+            channel = self._channels[f"/can/{name}"]
             columns = {series.name: _finite(series.values.tolist()) for series in table.series.values()}
             for row, t_ns in enumerate(table.t_ns.tolist()):
-                self._channels[f"/can/{name}"].log({each: values[row] for each, values in columns.items()}, log_time=t_ns)
+                channel.log({each: values[row] for each, values in columns.items()}, log_time=t_ns)
             if name in WORDS and len(table.t_ns):
                 topic, signals = WORDS[name]
                 last = len(table.t_ns) - 1
