@@ -394,34 +394,62 @@ class Record:
         echoed = echo_ns < NEVER_NS
         return Answers(toggle_ns, bit, np.where(echoed, echo_ns, self.end_ns) - toggle_ns, echoed)
 
-    @cached_property
+    @property
     def frozen(self) -> Sequence[Span]:
         """Where 0x520 came and repeated itself: for 100 ms and more HANDSHAKE stood though its echo was there.
 
-        It may stand where the VCU misses the echo (AI_COMMS_LOST), where the car does not drive itself (ASMS off, or
-        0x120 says so), after a drive, and while the VCU comes up: for a second where the log has no toggle before, at 0
-        in AS_INIT for as long as it likes. Of a log that has every second 0x520 only, this is not known.
+        It may stand where the VCU misses the echo (AI_COMMS_LOST), where the car does not drive itself (0x120 says so),
+        after a drive, and while the VCU comes up: for a second where the log has no toggle before, at 0 in AS_INIT for
+        as long as it likes. Of a log that has every second 0x520 only, this is not known.
         """
+        return self._standing[0]
+
+    @property
+    def perhaps_frozen(self) -> Sequence[Span]:
+        """The same for a second and more with the ASMS off: it froze, or it stands while the car is driven by hand.
+
+        Nothing else in 0x520 changed meanwhile either, and 0x120 does not say that the car does not drive itself.
+        """
+        return self._standing[1]
+
+    @cached_property
+    def _standing(self) -> tuple[Sequence[Span], Sequence[Span]]:
         asked, echo, times = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO), self.times(sig.STATUS)
         if len(times) < 2 or np.median(np.diff(times)) > 1.5 * PERIOD_NS:
-            return ()
+            return (), ()
         state, switch, system = map(self.series, (sig.AS_STATE, sig.AS_SWITCH, sig.SM_SYS))
         begun = np.arange(len(asked)) > 0
         last_ns = asked.end_ns - 1
         states = state.sampled(last_ns)
-        due = (switch.sampled(last_ns) != 0) & ~np.isin(states, (sig.EMERGENCY, sig.FINISHED))
-        due &= begun | (asked.values != 0) | (states != AsState.AS_INIT)
+        on = switch.sampled(last_ns) != 0
+        may = ~np.isin(states, (sig.EMERGENCY, sig.FINISHED)) & (
+            begun | (asked.values != 0) | (states != AsState.AS_INIT)
+        )
         if len(system):
-            due &= system.sampled(last_ns) == sig.DRIVE_AUTONOMOUS
+            may &= system.sampled(last_ns) == sig.DRIVE_AUTONOMOUS
+        due, perhaps = may & on, may & ~on
         due |= np.isin(states, (sig.READY, sig.DRIVING))
-        due &= self.series(sig.COMMS_LOST).sampled(last_ns) == 0
+        missed = self.series(sig.COMMS_LOST).sampled(last_ns) != 0
         echoed_ns = first_echoes(asked.begin_ns, asked.values.astype(np.int64), echo.t_ns, echo.values)
         since_ns = np.maximum.reduce([echoed_ns, state.since(last_ns), switch.since(last_ns)])
         spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]  # an adapter's batch is one sign of life
-        came = np.searchsorted(spread, asked.end_ns) - np.searchsorted(spread, since_ns)
-        stood_ns = np.minimum(asked.end_ns - since_ns, came * PERIOD_NS)
-        rows = np.flatnonzero(due & (stood_ns >= np.where(begun, COMMS_LOST_NS, S))).tolist()
-        return [asked[row]._replace(begin_ns=int(since_ns[row])) for row in rows]
+
+        def stood_ns(since_ns: Ints) -> Ints:
+            came = np.searchsorted(spread, asked.end_ns) - np.searchsorted(spread, since_ns)
+            return np.minimum(asked.end_ns - since_ns, came * PERIOD_NS)
+
+        changes_ns = times[np.diff(self.frames.word[self._rows[sig.STATUS]], prepend=np.uint64(0)) != 0]
+        same_ns = np.maximum(since_ns, np.append(-S, changes_ns)[np.searchsorted(changes_ns, last_ns, side="right")])
+
+        def spans(which: Mask, since_ns: Ints) -> list[Span]:
+            return [
+                asked[row]._replace(begin_ns=int(since_ns[row])) for row in np.flatnonzero(which & ~missed).tolist()
+            ]
+
+        return (
+            spans(due & (stood_ns(since_ns) >= np.where(begun, COMMS_LOST_NS, S)), since_ns),
+            spans(perhaps & ~due & (stood_ns(same_ns) >= S), same_ns),
+        )
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -226,7 +227,7 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     if not cars:
         findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
-    unknown = (*_unknown(record), *_not_judged(whole, buses))
+    unknown = (*_unknown(record), *_perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
     return Verdict(whole.begin_ns, explanation, tuple(findings), unknown)
 
 
@@ -278,6 +279,14 @@ def _frozen(record: Record, part_ns: TimeRange, explanation: Explanation) -> Ite
         where = (span.begin_ns, CAUSES["status_frozen"].remedy, (STATUS,), record.channel)
         text = f"{frozen_words(record, span)}: the VCU hung, or its 0x520 froze{more}"
         yield Finding("problem", "frozen", text, *where)
+
+
+def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
+    for span in islice(within(part_ns, record.perhaps_frozen), 1):
+        yield (
+            f"{frozen_words(record, span)}, with the ASMS off: the VCU froze, or does not ask while the car is driven "
+            "by hand; a log with the ASMS on would tell"
+        )
 
 
 def _of_incident(incident: Incident) -> Finding:
