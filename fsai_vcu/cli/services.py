@@ -17,7 +17,8 @@ from fsai_vcu.interface.errors import UserError
 from fsai_vcu.runtime.configuration import usual_environment
 from fsai_vcu.runtime.transport import enclave_words, set_transport
 
-ASK_AGAIN_S = 1.0  # the bridge has an answer in half of that, of a hanging loop, too
+ASK_AGAIN_S = 1.0
+_STILL_ASKING_S = 3.0
 _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
@@ -26,10 +27,13 @@ _NO_ROS = (
 )
 
 
-def add_bridge_arguments(parser: argparse.ArgumentParser) -> None:
-    """What every question to the bridge can be given."""
+def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float | None = 10.0) -> None:
+    """What every question to the bridge can be given. wait_s: None never gives up."""
+    default = "never: it asks until Ctrl-C" if wait_s is None else f"{wait_s:g} s"
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="give up after so long (10 s)")
+    parser.add_argument(
+        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after so long (default: {default})"
+    )
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
 
 
@@ -99,7 +103,6 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
     Raises UserError when no bridge offers it, or none answers in time.
     """
     check_numbers(args, wait=0.0)
-    until = time.monotonic() + args.wait
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.srv import SetMode
@@ -108,23 +111,31 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
         kind = SetMode if service == "set_mode" else Trigger
         client = node.create_client(kind, service)
         name = node.resolve_service_name(service)
-        if not client.wait_for_service(timeout_sec=max(0.0, until - time.monotonic())):
-            raise UserError(f"no bridge offers {name} (waited {args.wait:g} s); {_WHERE}")
-        answer = None
-        while answer is None:
-            left_s = until - time.monotonic()
-            if left_s <= 0.0:
-                raise UserError(f"the bridge offers {name}, but did not answer within {args.wait:g} s; does it hang?")
-            # The answer to a first request is lost when the server has not yet discovered its client: ask again. Every
-            # request of the operator may be repeated without harm.
-            future = client.call_async(kind.Request(**request))
-            again = time.monotonic() + min(ASK_AGAIN_S, left_s)
-            while not future.done() and time.monotonic() < again:
-                rclpy.spin_once(node, timeout_sec=_TURN_S)
-            if future.done():
-                answer = future.result()
-            else:
-                client.remove_pending_request(future)
+        begin_s = time.monotonic()  # from here on: on a busy machine rclpy takes seconds to load
+        asked: list[Any] = []
+        told_s = ask_s = 0.0
+        while (answer := next((each.result() for each in asked if each.done()), None)) is None:
+            waited_s = time.monotonic() - begin_s
+            if args.wait is not None and waited_s >= args.wait:
+                if asked:
+                    raise UserError(
+                        f"the bridge offers {name}, but did not answer within {args.wait:g} s; does it hang?"
+                    )
+                raise UserError(f"no bridge offers {name} (waited {args.wait:g} s); {_WHERE}")
+            if args.wait is None and waited_s >= told_s + _STILL_ASKING_S:
+                told_s = waited_s
+                what = f"{name} is offered, but not answered" if asked else f"no bridge offers {name}"
+                print(
+                    f"{what} (for {waited_s:.0f} s); press the remote's E-stop. Still asking; Ctrl-C ends it",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            if waited_s >= ask_s and client.service_is_ready():
+                # The answer to a first request is lost when the server has not yet discovered its client: ask again.
+                # Every request of the operator may be repeated without harm, and a late answer to any of them counts.
+                asked.append(client.call_async(kind.Request(**request)))
+                ask_s = waited_s + ASK_AGAIN_S
+            rclpy.spin_once(node, timeout_sec=_TURN_S)
     if args.json:
         print(json.dumps({**request, "success": answer.success, "message": answer.message}))
     else:
@@ -135,12 +146,12 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
 def vehicle_state(args: argparse.Namespace) -> Any:
     """The newest /vehicle_state. Raises UserError when none comes in time."""
     check_numbers(args, wait=0.0)
-    until = time.monotonic() + args.wait
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.msg import VehicleState
         from rclpy.qos import qos_profile_sensor_data
 
+        until = time.monotonic() + args.wait
         received: list[Any] = []
         node.create_subscription(VehicleState, "vehicle_state", received.append, qos_profile_sensor_data)
         while not received:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.cli.services import ASK_AGAIN_S
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
@@ -100,3 +101,24 @@ def test_ctrl_c_ends_the_waiting(name: str) -> None:
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=LONG_S)
     assert (process.returncode, said) == (130, f"fsai-vcu {name}: interrupted\n")
+
+
+def test_an_emergency_brake_asks_until_a_slow_bridge_answers() -> None:
+    from ros_rig import RosRig
+    from std_srvs.srv import Trigger
+
+    def answered(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        time.sleep(1.5 * ASK_AGAIN_S)
+        response.success, response.message = True, "latched"
+        return response
+
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "emergency-brake"]
+    with RosRig() as rig, subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None and process.stdout is not None
+        try:
+            assert process.stderr.readline().startswith("no bridge offers /emergency_brake (for ")
+            rig.tester.create_service(Trigger, "emergency_brake", answered)
+            rig.spin_until(lambda: process.poll() is not None, "the answer", LONG_S)
+        finally:
+            process.kill()
+        assert (process.returncode, process.stdout.read()) == (0, "latched\n")
