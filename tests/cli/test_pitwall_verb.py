@@ -23,6 +23,7 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import WheelSpeeds
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.bus import CanBus
 
 NAME = f"loopback:pitwall-{os.getpid()}"
 DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
@@ -132,3 +133,15 @@ def test_a_port_in_use_is_one_line(log: str, capsys: pytest.CaptureFixture[str])
         assert main(["pitwall", log, "--port", str(taken.getsockname()[1])]) == 1
     said = capsys.readouterr()
     assert said.out == "" and said.err.endswith(": Address already in use\n") and said.err.count("\n") == 1
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_listener_that_fails_ends_it_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ArithmeticError("of the test")
+
+    monkeypatch.setattr(CanBus, "recv_stamped", fails)
+    assert main(["pitwall", NAME, "--port", "0", "--seconds", "60"]) == 1
+    assert "is not received any more: ArithmeticError('of the test')\n" in capsys.readouterr().err

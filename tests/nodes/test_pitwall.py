@@ -164,6 +164,19 @@ def test_a_display_that_lags_calls_no_node_silent(nodes: Nodes, wall: PitWall) -
     assert not any("silent" in said for said in words(wall)) and now["path_cm"] and now["seen_cm"]
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_listener_that_fails_says_why(nodes: Nodes, wall: PitWall, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ArithmeticError("of the test")
+
+    await_all(nodes, wall)
+    monkeypatch.setattr(wall._executor, "spin_once", fails)
+    wall._thread.join()
+    ((said, urgency),) = drawn(wall)["nodes"]
+    assert said.startswith("nothing of the nodes is received any more: ArithmeticError('of the test')")
+    assert urgency == "fault"
+
+
 def test_what_bridge_planner_and_controller_say_is_shown(nodes: Nodes, wall: PitWall) -> None:
     emergency = "the emergency brake was asked for: by /emergency_brake"
     nodes.state |= {"emergency": emergency, "gate_reasons": ["torque held"], "stopping": "stale"}

@@ -52,9 +52,12 @@ class Listener:
         self._received: deque[Received] = deque()
         self._news: deque[str] = deque()
         self._ending = threading.Event()
+        self._error: Exception | None = None
 
     def fetch(self) -> list[Received]:
-        """What was received since the last call."""
+        """What was received since the last call. Raises BusLost where nothing is received any more."""
+        if self._error is not None and not self._received:
+            raise BusLost(f"{self.name} is not received any more: {self._error!r}") from self._error
         return [self._received.popleft() for _ in range(len(self._received))]
 
     def news(self) -> list[str]:
@@ -69,6 +72,13 @@ class Listener:
         self._thread.start()
 
     def _run(self) -> None:
+        try:
+            self._receive()
+        except Exception as error:
+            self._error = error
+            raise
+
+    def _receive(self) -> None:
         lost_s = 0.0
         while not self._ending.is_set():
             if self._bus is None:

@@ -22,6 +22,7 @@ class Listener:
     """Receives from `start` to `stop`. What it subscribes to is said in between, on `_node`.
 
     `heard_ns`: when it last looked for messages (monotonic clock); on a busy machine that is behind the present.
+    `error`: what ended its thread, None while it receives.
     """
 
     def __init__(self, name: str, namespace: str) -> None:
@@ -45,6 +46,7 @@ class Listener:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.heard_ns = time.monotonic_ns()
+        self.error: Exception | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
 
@@ -60,6 +62,10 @@ class Listener:
         self._context.try_shutdown()
 
     def _spin(self) -> None:
-        while not self._ended.is_set():
-            self.heard_ns = time.monotonic_ns()
-            self._executor.spin_once(timeout_sec=TURN_S)
+        try:
+            while not self._ended.is_set():
+                self.heard_ns = time.monotonic_ns()
+                self._executor.spin_once(timeout_sec=TURN_S)
+        except Exception as error:
+            self.error = error
+            raise

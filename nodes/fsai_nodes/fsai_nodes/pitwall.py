@@ -58,6 +58,10 @@ class PitWall(Listener):
 
         Only words, and nothing to draw, while the nodes are silent. Lengths are cm in the frame of the odometry.
         """
+        if self.error is not None:
+            return {
+                "nodes": [(f"nothing of the nodes is received any more: {self.error!r}; restart the pit wall", "fault")]
+            }, {}
         with self._lock:
             now_ns = self.heard_ns  # what this program has had no time to take is nobody's silence
             late = [(words, "warning") for words in (lag_words(now_ns, self._clocks.now_ns()),) if words]
