@@ -16,7 +16,7 @@ from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.log import live
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.reader import read_log
-from fsai_vcu.diagnostics.monitor.snapshot import Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
@@ -82,6 +82,12 @@ def test_values_of_a_silent_car_are_gone_and_its_age_is_told() -> None:
     assert (state["light"]["colour"], state["driving"], state["silent_s"]) == ("unknown", False, pytest.approx(3.01))
     assert state["missing"][0] == "0x520 VCU2AI_Status lost: 3.0 s old"
     assert state["missing"][-1].startswith("never received: 0x510, 0x511")
+
+
+def test_the_lost_messages_of_a_silent_bus_are_one_line() -> None:
+    messages = [MessagePicture(0x520 + n, False, None, 0.0, 100.0, 3.0, Freshness.LOST, False) for n in range(7)]
+    state = state_of(Picture(0, "can0", "2026", "", 1, messages=tuple(messages)))
+    assert state["missing"] == ["lost: 0x520, 0x521, 0x522, 0x523, 0x524, 0x525, 0x526"]
 
 
 def test_a_fault_comes_with_its_cause_and_what_to_do() -> None:

@@ -339,7 +339,9 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
     state = label(sig.AS_STATE, span.value)
     if silent_ns >= COMMS_LOST_NS:
         remedy = "switched off, or unplugged: LVMS, CAN plug" if silent_ns >= S else CAUSES["vcu_silent"].remedy
-        yield Obstacle(f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"the last one was {state}", remedy)
+        yield Obstacle(
+            f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"its last AS state was {state}", remedy
+        )
     elif span.value == sig.EMERGENCY:
         yield from _braked(emergency)
     elif span.value == sig.FINISHED:

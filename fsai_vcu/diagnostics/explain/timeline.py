@@ -112,12 +112,12 @@ def _entry(signal: Signal, t_ns: int, topic: str, text: str, weight: Weight = NO
 def _speakers(record: Record) -> Iterator[TimelineEntry]:
     """Who sends first, and when."""
     for can_id, topic, who in (
-        (sig.STATUS, "power", "the car speaks: the first 0x520"),
-        (0x510, "AI", "the AI computer speaks: the first 0x510"),
+        (sig.STATUS, "power", "the first 0x520 of the car"),
+        (0x510, "AI", "the first 0x510 of the AI computer"),
     ):
         times = record.times(can_id)
         if len(times):
-            already = " (it did when the log began)" if times[0] - record.begin_ns < 50 * MS else ""
+            already = " (it was sending already)" if times[0] - record.begin_ns < 50 * MS else ""
             yield TimelineEntry(int(times[0]), topic, who + already, STATE, can_id)
 
 
@@ -125,7 +125,7 @@ def _switches(record: Record) -> Iterator[TimelineEntry]:
     for signal, topic, texts, weights in SWITCHES:
         for span in record.series(signal).spans:
             if span.before is not None or span.value:
-                begins = " (since the log began)" if span.before is None else ""
+                begins = " (from the first frame on)" if span.before is None else ""
                 on = bool(span.value)
                 yield _entry(signal, span.begin_ns, topic, texts[on] + begins, weights[on])
 
@@ -184,7 +184,7 @@ def _motion(record: Record) -> Iterator[TimelineEntry]:
     turning = Series(wheels.t_ns, (wheels.values >= STANDING_RPM).astype(np.float64))
     for span in turning.spans:
         if span.before is None and span.value:
-            yield TimelineEntry(span.begin_ns, "motion", "the wheels turn when the log begins", STATE, 0x525)
+            yield TimelineEntry(span.begin_ns, "motion", "the wheels turn (from the first frame on)", STATE, 0x525)
         elif span.before is not None and span.value:
             yield TimelineEntry(span.begin_ns, "motion", "the wheels begin to turn", NOTE, 0x525)
         elif span.before is not None:

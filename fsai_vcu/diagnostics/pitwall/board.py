@@ -10,6 +10,7 @@ from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.monitor.snapshot import LIGHTS, Freshness, MessagePicture, Picture, age
 
 EVENTS: Final = 30
+_EACH: Final = 3  # so many lost messages have a line each: a silent bus has thirty
 _CAUSES: Final = {**{f"SHUTDOWN_CAUSE {one.label}": slug for one, slug in SHUTDOWN.items()}, **FAULT_BITS}
 
 
@@ -40,9 +41,11 @@ def _faults(names: Iterable[str]) -> list[dict[str, Any]]:
 
 def _missing(messages: Sequence[MessagePicture]) -> Iterator[str]:
     """What does not come as it should, in lines."""
-    for one in messages:
-        if one.age_s is not None and one.freshness is Freshness.LOST:
-            yield f"0x{one.number} {one.name or ''} lost: {age(one.age_s)} old"
+    lost = [(one, one.age_s) for one in messages if one.age_s is not None and one.freshness is Freshness.LOST]
+    if len(lost) > _EACH:
+        yield f"lost: {', '.join(f'0x{one.number}' for one, _ in lost)}"
+    else:
+        yield from (f"0x{one.number} {one.name or ''} lost: {age(age_s)} old" for one, age_s in lost)
     if late := [f"0x{one.number}" for one in messages if one.freshness is Freshness.LATE]:
         yield f"late: {', '.join(late)}"
     if never := [f"0x{one.number}" for one in messages if one.age_s is None]:

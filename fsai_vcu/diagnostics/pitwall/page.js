@@ -67,7 +67,7 @@ function showState(s) {
   by("state-tile").dataset.light = s.light.colour;
   by("state-tile").classList.toggle("flashes", s.light.flashes);
   const lit = s.light.colour === "unknown" ? "lights unknown" : `lights ${s.light.colour}${s.light.flashes ? ", flashing" : ""}`;
-  const held = s.as_state ? `for ${span(s.as_state_s)} · ` : s.as_state_heard ? `${s.as_state_heard} was the last · ` : "";
+  const held = s.as_state ? `for ${span(s.as_state_s)} · ` : s.as_state_heard ? `last AS state ${s.as_state_heard} · ` : "";
   say(by("held"), held + lit);
   const onOff = (name, on) => [`${name} ${on == null ? "–" : on ? "on" : "off"}`, on == null ? "" : on ? "good" : "warning"];
   list("chips", [
@@ -89,7 +89,7 @@ function showState(s) {
   const echo = s.handshake?.response_ms;
   list("bus", [
     ...s.link.map((text) => [text, "fault"]),
-    [`load ${s.load == null ? "–" : `${(100 * s.load).toFixed(0)} %`} · ${s.received} messages come`],
+    [`load ${s.load == null ? "–" : `${(100 * s.load).toFixed(0)} %`} · ${s.received} messages received`],
     [echo?.max_ms == null ? "handshake: no answers" : `handshake answered in ${number(echo.p50_ms)} ms, at most ${number(echo.max_ms)} ms`, echo?.max_ms == null ? "warning" : ""],
     ...(s.nodes || []),
     ...s.missing.map((text) => [text, "warning"]),
