@@ -315,7 +315,7 @@ def _value(value: object) -> str:
 def _range(one: Any) -> str:
     if one.choices:
         return ", ".join(one.choices)
-    return "" if one.low is None else f"{one.low:g} … {one.high:g}"
+    return "" if one.low is None else f"{one.low:g} … {one.high:.9g}"
 
 
 # ---------------------------------------------------------------- docs/safety-case.md, and figures of the evidence

@@ -166,8 +166,8 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         f"nothing: static inspection B and the autonomous demo end like this; for the next mission {_CAR_RESTART}",
     ),
     "not_on_the_bus": (
-        "nothing on the bus explains it: the operator's emergency brake, both pedals in one command, the mission"
-        " itself, or this software being stopped",
+        "the AI computer asked for it, and no frame says why: the operator's emergency brake, both pedals in one"
+        " command, the mission itself, or this software being stopped",
         "look in the software's own log for the emergency's cause",
         _TEAM_LOG,
     ),
