@@ -436,7 +436,8 @@ class Record:
 
         def stood_ns(since_ns: Ints) -> Ints:
             came = np.searchsorted(spread, asked.end_ns) - np.searchsorted(spread, since_ns)
-            return np.minimum(asked.end_ns - since_ns, came * PERIOD_NS)
+            stood: Ints = np.minimum(asked.end_ns - since_ns, came * PERIOD_NS)
+            return stood
 
         changes_ns = times[np.diff(self.frames.word[self._rows[sig.STATUS]], prepend=np.uint64(0)) != 0]
         same_ns = np.maximum(since_ns, np.append(-S, changes_ns)[np.searchsorted(changes_ns, last_ns, side="right")])
