@@ -17,11 +17,13 @@ from pathlib import Path
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, write_out
 from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.verdict import Verdict, judged
 from fsai_vcu.interface.errors import WrongUse
+from fsai_vcu.interface.units import S
 
 EXAMPLE = (
     "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2\n"
@@ -49,14 +51,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so long (live; default: until Ctrl-C)")
     log = parser.add_mutually_exclusive_group()
-    log.add_argument("--at", type=float, metavar="S", help="a log as it stood so many seconds after its start")
+    log.add_argument("--at", metavar="TIME", help="a log as it stood at that time: seconds or time of day, as --from")
     log.add_argument("--rate", type=float, metavar="X", help="play a log, X times as fast; 0: without waiting")
     parser.add_argument("--plain", action="store_true", help="a line a second instead of drawing")
     parser.add_argument("--json", action="store_true", help="one JSON object a second instead of drawing")
 
 
 def run(args: argparse.Namespace) -> int:
-    check_numbers(args, every=0.02, seconds=0.0, at=0.0, rate=0.0)
+    check_numbers(args, every=0.02, seconds=0.0, rate=0.0)
+    try:
+        at = Part(args.at)
+    except ValueError as error:
+        raise WrongUse(str(error).replace("--from", "--at")) from error
     sources = Sources("monitor", [args.source])
     if sources.live and (args.at is not None or args.rate is not None):
         raise WrongUse("--at and --rate are for logs")
@@ -79,12 +85,14 @@ def run(args: argparse.Namespace) -> int:
             source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
             status = _show(source, every_s, patterns, args, drawn=drawn)
         return status | sources.status
+    first = list(islice(chunks, 1))  # with it the log's first moment is known
+    begin_ns = sources.first_ns or 0
     ahead = sources.files or still  # what is played while it is piped in may be without end: it is not kept
     read: list[Frames] = []
     log = Log(
-        _noted(chunks, read) if ahead else chunks,
+        _noted(chain(first, chunks), read) if ahead else chain(first, chunks),
         view,
-        args.at,
+        None if args.at is None else (at.bounds(begin_ns)[0] - begin_ns) / S,
         (args.rate or None) if drawn else args.rate,
         keep=ahead,
     )

@@ -31,7 +31,9 @@ from fsai_vcu.interface.revisions import revision as revision_named
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.verdict import Judged
 
-LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
+LOG_HELP: Final = (
+    "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input), a folder of logs"
+)
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc"})
 _PROBLEMS_SHOWN = 5

@@ -104,6 +104,7 @@ def test_textual_is_loaded_only_where_pages_are_shown(log: str) -> None:
 
 def test_a_moment_of_a_log_is_shown_with_what_stood_in_the_way(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     (line,) = shown(capsys, log, "--at", "2", "--plain")
+    assert shown(capsys, log, "--at", "22:13:22", "--plain") == [line]
     assert line.startswith("2.0 s into the log | AS_OFF | NOT_SELECTED |")
     assert "no mission is chosen on the AMI" in line
 

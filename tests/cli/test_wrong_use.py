@@ -76,7 +76,7 @@ USES = [
     ("export run.log --to csv -o /absent/tables", 1, "cannot write /absent/tables: No such file or directory"),
     # ---------------------------------------------------------------- monitor and pit wall
     ("monitor run.log --rate -1", 2, "--rate is -1, but must be 0 or more"),
-    ("monitor run.log --at nan", 2, "--at is nan"),
+    ("monitor run.log --at nan", 2, "--at is nan: neither seconds from 0 on nor a time such as 14:03:30"),
     ("monitor run.log --every 0", 2, "--every is 0, but must be 0.02 or more"),
     ("monitor run.log --seconds 3", 2, "--seconds is for live buses"),
     (f"monitor {BUS} --rate 1", 2, "--at and --rate are for logs"),

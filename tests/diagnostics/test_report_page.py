@@ -199,6 +199,7 @@ def test_any_signals_can_be_on_the_page_of_a_foreign_dbc_too(
     assert main(["report", str(log), "-o", str(out), "--signals", "AS_STATE,VCU2AI_Speeds.*"]) == 1
     first = data_of(out.read_text())["plots"][0]
     assert [curve["name"] for curve in first["curves"]] == ["VCU2AI_Status.AS_STATE"]
+    assert "<figcaption>Signals, rpm" in out.read_text()
     assert main(["report", str(log), "-o", str(out), "--dbc", str(dbc), "--signals", "TEMP"]) == 1
     curve = data_of(out.read_text())["plots"][0]["curves"][0]
     assert (curve["name"], unpacked(curve, 0)[1].tolist()) == ("Team.TEMP", [5.0, 10.0])

@@ -101,8 +101,7 @@ def plots_of(groups: Mapping[str, Sequence[tuple[str, Series]]]) -> list[Plot]:
             known = tuple(curve for curve in curves if len(curve.series))
             whole = all((curve.series.values % 1 == 0).all() for curve in known)
             if known:
-                title = f"Signals in {unit}" if unit else "Signals"
-                found.append(Plot(f"signals{len(found)}", title, unit or "raw", 0 if whole else 3, known))
+                found.append(Plot(f"signals{len(found)}", "Signals", unit or "raw", 0 if whole else 3, known))
     return found
 
 
