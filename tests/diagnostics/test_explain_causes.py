@@ -311,3 +311,8 @@ def test_the_action_on_the_car_is_named_first_with_its_time(end: End) -> None:
     if end.also:
         assert end.also in [one.slug for one in incidents[-1].candidates]
     assert not story.clean
+
+
+def test_what_stops_the_car_is_not_told_as_a_mismatch_too() -> None:
+    stopped = branch(driving(), sense(spinning), 1.2).frames
+    assert [incident.kind for incident in tell(stopped).incidents] == [IncidentKind.EMERGENCY]

@@ -440,10 +440,10 @@ def test_the_answer_comes_last_with_cause_chain_and_remedy(explain: Explain, fau
 def test_what_makes_it_not_ok_is_named_beside_the_story(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
     lacking = nominal.only(nominal.can_id != 0x523)
     _, out, _ = explain(written(lacking, tmp_path / "run.log"))
-    assert out.splitlines()[-2:] == [
-        "problem: VCU2AI_Steer (0x523) was never received",
-        "verdict: NOT OK: 1 problem (1 note)",
-    ]
+    problem, remedy, verdict = out.splitlines()[-3:]
+    assert problem == "problem: VCU2AI_Steer (0x523) was never received"
+    assert remedy.startswith("    what to do: look why its sender is silent")
+    assert verdict == "verdict: NOT OK: 1 problem (1 note)"
 
 
 def test_a_status_of_wrong_length_is_not_called_absent(explain: Explain, nominal: Frames, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from fsai_vcu.diagnostics.explain.actuation import mismatches
 from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
+from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.incident import (
     ALWAYS,
     Explanation,
@@ -59,6 +60,7 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
         for incident in kind[:MOST_INCIDENTS]
         if not any(car.begin_ns <= incident.t_ns <= car.end_ns for car in mixed)
     ]
+    incidents = [one for one in incidents if not any(_told_by(other, one) for other in incidents)]
     no_state = "" if len(record.series(AS_STATE)) else "without the AS state"
     return Explanation(
         heading={
@@ -71,11 +73,20 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
         },
         timeline=lambda: [event for event in timeline(record) if begin_ns <= event.t_ns <= end_ns],
         incidents=tuple(_grouped(sorted(incidents, key=lambda incident: incident.t_ns), record.begin_ns)),
-        closing=_closing(record),
+        closing=_closing(record, part_ns),
+        end_ns=int(min(part_ns[1], record.end_ns)),
         problems=(*_missing(record, part_ns), *([_TOO_MANY] if max(map(len, found)) > MOST_INCIDENTS else [])),
         unknown=no_state or ("with two cars on the bus" if mixed else ""),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
+
+
+def _told_by(other: Incident, one: Incident) -> bool:
+    """Whether what the car does not do as asked is the cause of the other: an AI computer that watches it reacts."""
+    if one.kind is not IncidentKind.MISMATCH or other.kind is IncidentKind.MISMATCH:
+        return False
+    causes = (other.candidates[0].cause, one.candidates[0].cause)
+    return causes[0].remedy == causes[1].remedy and one.begin_ns <= other.t_ns <= one.end_ns + AT_ONCE_NS
 
 
 def _grouped(incidents: list[Incident], begin_ns: int) -> Iterator[Incident]:
@@ -92,13 +103,17 @@ def _grouped(incidents: list[Incident], begin_ns: int) -> Iterator[Incident]:
             yield replace(incident, what=f"{incident.what}; {len(group) - 1} more like it up to {last_s:.3f} s")
 
 
-def _closing(record: Record) -> str:
+def _closing(record: Record, part_ns: TimeRange) -> str:
+    what, end_ns = ("log", record.end_ns) if part_ns[1] >= record.end_ns else ("part", int(part_ns[1]))
     state = record.series(AS_STATE)
     if not len(state):
-        return "the log ends; it has no AS state"
-    away_ns = record.end_ns - int(state.t_ns[-1])
+        return f"the {what} ends; it has no AS state"
+    before = int(np.searchsorted(state.t_ns, end_ns, side="right")) - 1
+    if before < 0:
+        return f"the {what} ends before the first AS state"
+    away_ns = end_ns - int(state.t_ns[before])
     silent = f", silent for the last {away_ns / 1e9:.1f} s" if away_ns >= 1_000_000_000 else ""
-    return f"the log ends with the car in {label(AS_STATE, float(state.values[-1]))}{silent}"
+    return f"the {what} ends with the car in {label(AS_STATE, float(state.values[before]))}{silent}"
 
 
 def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:

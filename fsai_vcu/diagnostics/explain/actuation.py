@@ -56,9 +56,12 @@ def mismatches(record: Record, part_ns: TimeRange = ALWAYS) -> Iterator[Incident
         times = times[low:high]
         if span.value != sig.DRIVING or len(times) <= STEER_TIME_NS // PERIOD_NS:
             continue
+        awake = np.ones(len(times), np.bool_)
+        for frozen in record.frozen:  # whether the car still drives is not known
+            awake &= (times < frozen.begin_ns) | (times > frozen.end_ns)
         seen: dict[str, Incident] = {}  # an axle that does not do it is enough
         for one in _all(record, times):
-            known = [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
+            known = [awake, *(_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0]))]
             stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times, part_ns)
             if stretch is not None:
                 begin_ns, end_ns = (int(times[row]) for row in stretch)

@@ -169,6 +169,7 @@ class Explanation:
     timeline: Callable[[], Iterable[TimelineEntry]]
     incidents: tuple[Incident, ...]
     closing: str
+    end_ns: int  # of what is told
     problems: tuple[str, ...] = field(default=())
     recorded: frozenset[int] = frozenset()  # identifiers in the log
     unknown: str = ""  # why nobody can tell what happened, where that is so

@@ -55,7 +55,7 @@ def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterat
         where = f"  [0x{event.can_id:03X}]" if event.can_id is not None else ""
         text = paint(event.text, _COLOURS[event.weight])
         yield f"{seconds(story, event.t_ns):9.3f} s  {event.topic:<9} {text}{paint(where, '2')}"
-    yield f"{heading['seconds']:9.3f} s  {'':<9} {story.closing}"
+    yield f"{seconds(story, story.end_ns):9.3f} s  {'':<9} {story.closing}"
     for incident in story.incidents:
         yield ""
         yield from _incident_lines(story, incident, paint)

@@ -32,7 +32,7 @@ BITRATE: Final = 500_000  # interface specification v4.0: 500 kbit/s
 NEVER_NS: Final = np.iinfo(np.int64).max
 LOAD_WINDOW_NS: Final = 100 * MS
 
-_MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
+MISSING_PERIODS: Final = 1.8  # an interval from here on lacks at least one frame
 _PERIOD_TOLERANCE = 0.1
 _LONG_MS = 2000.0  # in which no frames that were held back shorten the mean by so much
 _ENOUGH_INTERVALS = 20
@@ -40,6 +40,19 @@ _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; use
 _HIGH_LOAD = 0.7
 _FROZEN_COUNTS_NS = S
 _STATUS, _WHEELS = {"VCU2AI_Status", "AI2VCU_Status"}, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"}
+_SENDER = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
+_REMEDIES: Final = {
+    "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
+    "missing": _SENDER,
+    "gap": _SENDER,
+    "stopped": _SENDER,
+    "handshake": "look at the load of the AI computer and of the bus, and at the log of vcu_bridge",
+    "frozen": "check the pulse sensor of that wheel, and its plug",
+    "wrong-length": "find who sends it, and see whether --revision is the car's",
+    "intruder": "find who sends them: only the AI computer may use 0x510 to 0x514, and it asks for nothing",
+    "reserved": "end the program on this computer that sends it",
+    "period": "find who else sends it, and see whether --revision is the car's",
+}
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
 
@@ -284,7 +297,7 @@ def _measure_message(
     timed = duration_ns > 0 and typical_ns > 0
     remote, sent = (flags & REMOTE) != 0, (flags & SENT) != 0
     no_pauses = ordered[: np.searchsorted(ordered, _LOST_PERIODS * typical_ns)]
-    missing = math.floor(_MISSING_PERIODS * typical_ns)
+    missing = math.floor(MISSING_PERIODS * typical_ns)
     strange: Ints | list[int] = np.flatnonzero((length != layout.length) & ~remote) if layout is not None else []
     lengths, counts = np.unique(length[strange], return_counts=True)
     longest = int(np.argmax(intervals)) if timed and len(intervals) else None
@@ -404,7 +417,8 @@ def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, fl
         if speed is None or count is None or not len(speed.t_ns) or not len(count.t_ns):
             continue
         last = np.searchsorted(speed.t_ns, count.t_ns, side="right") - 1
-        turning = (last >= 0) & (speed.values[np.maximum(last, 0)] >= _TURNING_RPM)
+        known = (last >= 0) & (count.t_ns - speed.t_ns[np.maximum(last, 0)] < COMMS_LOST_NS)
+        turning = known & (speed.values[np.maximum(last, 0)] >= _TURNING_RPM)
         # A wheel at rest breaks the run: while it rests, each frame counts as a change.
         since_ns, lasted_ns = _longest_same(
             count.t_ns, count.values, np.where(turning, -1, np.arange(len(turning), dtype=np.int64))
@@ -426,7 +440,7 @@ def judge(bus: BusStatistics) -> list[Finding]:
 def _finding(grave: bool, kind: str, text: str, can_id: int | None = None, t_s: float | None = None) -> Finding:
     t_ns = None if t_s is None else round(t_s * S)
     ids = () if can_id is None else (can_id,)
-    return Finding("problem" if grave else "note", kind, text, t_ns, can_ids=ids)
+    return Finding("problem" if grave else "note", kind, text, t_ns, _REMEDIES.get(kind, "") if grave else "", ids)
 
 
 def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
@@ -436,7 +450,8 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     if not bus.duration_s:
         yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
-        text = f"times go backwards {bus.backwards} times: a clock was set, logs joined, or frames not in order"
+        often = f"{bus.backwards} times" if bus.backwards > 1 else "once"
+        text = f"times go backwards {often}: a clock was set, logs joined, or frames not in order"
         yield _finding(False, "clock", text, t_s=bus.backwards_at_s)
     if bus.error_frames:
         count, kinds = sum(bus.error_frames.values()), len(bus.error_frames)
@@ -497,7 +512,7 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
     supervised = own is None or own.timeout_ns is not None
     lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * expected_ms
     if message.silent_ms >= lost_ms:
-        text = f"{name} is silent for the last {message.silent_ms:.0f} ms of the log"
+        text = f"{name} is silent for the last {message.silent_ms:.0f} ms"
         yield _finding(supervised, "stopped", text, can_id, message.last_s)
     if gap_ms >= lost_ms:
         text = f"{name} was silent for {gap_ms:.1f} ms: {lost_ms:g} ms count as lost"

@@ -27,6 +27,8 @@ from fsai_vcu.interface.units import MS, S
 SHORT_NS: Final = 200 * MS
 LONG_NS: Final = 1 * S  # a sender that catches up after a pause sends no more than its period allows in this time
 SHORT_EXCESS: Final = 1.5
+CLOSE: Final = 0.75  # of a period
+NEVER_NS: Final = np.iinfo(np.int64).max
 LONG_EXCESS: Final = 1.09
 SLOW_NS: Final = 2 * S  # in which one is told that sends less often than the other, and the same
 SLOW_EXCESS: Final = 1.08
@@ -128,7 +130,15 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
     if not many.any():
         return []
     proof = f"{_rate(t_ns, many):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
-    return _stretches(frames, rows, many, proof)
+    # The windows begin before it does: with it there are frames closer to the next one than one sender's.
+    close = np.append(np.diff(t_ns) < CLOSE * PERIOD_NS, False)
+    return [_begun(one, t_ns[close]) for one in _stretches(frames, rows, many, proof)]
+
+
+def _begun(one: SecondSender, close_ns: Ints) -> SecondSender:
+    """The same from the first of these times in it on."""
+    first_ns = int(np.append(close_ns, NEVER_NS)[np.searchsorted(close_ns, one.begin_ns)])
+    return replace(one, begin_ns=first_ns) if first_ns <= one.end_ns else one
 
 
 def batched(t_ns: Ints) -> bool:

@@ -37,7 +37,14 @@ from fsai_vcu.diagnostics.explain.signals import (
 )
 from fsai_vcu.diagnostics.log.frames import Frames, straightened
 from fsai_vcu.diagnostics.log.part import Part
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure
+from fsai_vcu.diagnostics.statistics.measure import (
+    MISSING_PERIODS,
+    BusStatistics,
+    Finding,
+    MessageStatistics,
+    judge,
+    measure,
+)
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -175,7 +182,25 @@ def judged(
         frames = frames.at(frames.t_ns + set_back_ns).only(inside)
         record = Record(frames, whole.revision.name, databases)
     buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate)
+    buses = [_with_gaps_before(bus, whole, part_ns) if bus.channel == whole.channel else bus for bus in buses]
     return Judged(record, buses, _verdict(whole, part_ns, record, buses))
+
+
+def _with_gaps_before(bus: BusStatistics, whole: Record, part_ns: TimeRange) -> BusStatistics:
+    """The same, with the gap of each message that lasts into the part."""
+
+    def whole_gap(message: MessageStatistics) -> MessageStatistics:
+        times = whole.times(message.can_id)
+        first = int(np.searchsorted(times, part_ns[0]))
+        if message.extended or not message.expected_ms or not 0 < first < len(times):
+            return message
+        since_ns = int(times[first - 1])
+        gap_ms = (int(times[first]) - since_ns) / MS
+        if gap_ms <= max(MISSING_PERIODS * message.expected_ms, message.longest_gap_ms or 0.0):
+            return message
+        return replace(message, gaps=message.gaps + 1, longest_gap_ms=gap_ms, longest_gap_at_s=since_ns / S)
+
+    return replace(bus, messages=tuple(map(whole_gap, bus.messages)))
 
 
 def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[BusStatistics]) -> Verdict:
@@ -183,8 +208,14 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     explanation = explained(whole, part_ns)
     senders, cars = ([*within(part_ns, found)] for found in (whole.second_senders, whole.second_cars))
     findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
+    firsts = [incident.candidates[0] for incident in explanation.incidents]
+    # (a message, since when) that an incident's cause names as missing or foreign, and how often an echo was with it
+    roots = {(first.steps[0].can_id, first.t_ns) for first in firsts}
+    echoes = sum(first.slug in NO_ECHO for first in firsts)
     remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
     for one in senders:
+        if (one.can_ids[0], one.begin_ns) in roots:
+            continue
         where = (one.begin_ns, remedy, one.can_ids, whole.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in senders for can_id in other.can_ids}
@@ -196,10 +227,6 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     absent = set() if record.ai_speaks else set(AI_IDS)
     if not record.has(STATUS):
         absent |= {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
-    firsts = [incident.candidates[0] for incident in explanation.incidents]
-    # (a message, since when) that an incident's cause names as missing, and how often an echo was with it
-    roots = {(first.steps[0].can_id, first.t_ns) for first in firsts}
-    echoes = sum(first.slug in NO_ECHO for first in firsts)
 
     def told(bus: BusStatistics, finding: Finding) -> bool:
         if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
@@ -316,13 +343,14 @@ def _losing(bus: BusStatistics) -> Finding | None:
 
 
 def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
-    """A channel's findings; the pauses of several messages at one moment are one."""
+    """A channel's findings; the pauses of several messages at one moment are one, with the error frames of it."""
     pauses: list[list[Finding]] = []
     unknown: list[Finding] = []
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
     lost = _losing(bus)
     if lost:
         yield lost
+    errors: Finding | None = None
 
     def same(one: Finding, other: Finding) -> bool:
         """Whether two messages were missing at one time: most of the shorter pause lies within the longer one."""
@@ -333,7 +361,8 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
 
     for finding in judge(bus):
         if finding.kind == "error-frames" and len(record.error_ns):
-            finding = replace(finding, t_ns=int(record.error_ns[0]), remedy=CAUSES["bus_lost"].remedy)
+            errors = replace(finding, t_ns=int(record.error_ns[0]), remedy=CAUSES["bus_lost"].remedy)
+            continue
         if finding.kind == "unknown":
             unknown.append(finding)
             continue
@@ -366,7 +395,15 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
             else:
                 begin_ns = max(begin for begin, _ in spans)
             text = f"a pause of {shared_ns / MS:.0f} ms of {_whose(ids, len(bus.messages))}"
-        yield replace(pause[0], severity=worst.severity, text=text, t_ns=begin_ns, can_ids=ids)
+            if len(ids) == len(bus.messages):
+                if errors is not None and 0 <= (errors.t_ns or 0) - (begin_ns or 0) <= shared_ns:
+                    worst, text, errors = errors, f"{text.partition(':')[0]}, and {errors.text}", None
+                elif worst.remedy:
+                    held_up = "look whether the recording computer was held up"
+                    worst = replace(worst, remedy=f"{held_up}; {CAUSES['bus_lost'].remedy}")
+        yield replace(worst, text=text, t_ns=begin_ns, can_ids=ids)
+    if errors is not None:
+        yield errors
 
 
 def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
@@ -376,15 +413,16 @@ def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
     """
     state = record.series(AS_STATE)
     active = bool(len(state)) and state.values[-1] in (READY, DRIVING)
-    for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
+    for ids, who, cause in ((AI_IDS, "the AI computer", "ai_silent"), (VCU_IDS, "the car", "vcu_reboot")):
         silent = {m.can_id: m for m in bus.messages if m.can_id in ids and not m.extended}
         lost = [m for m in silent.values() if m.silent_ms * MS >= COMMS_LOST_NS]
         if len(lost) > 1 and len(lost) == len(silent):
-            text = f"{who} is silent for the last {min(m.silent_ms for m in lost) / 1000:.1f} s of the log"
+            text = f"{who} is silent for the last {min(m.silent_ms for m in lost) / 1000:.1f} s"
             last_s = max(m.last_s for m in lost)
             with_it = [m.can_id for m in bus.messages if abs(m.last_s - last_s) * S < WITH_IT_NS]  # its other devices
             gone = tuple(sorted({*silent, *with_it}))
-            yield Finding("problem" if active else "note", "stopped", text, round(last_s * S), "", gone, bus.channel)
+            where = (round(last_s * S), CAUSES[cause].remedy if active else "", gone, bus.channel)
+            yield Finding("problem" if active else "note", "stopped", text, *where)
 
 
 def _whose(ids: tuple[int, ...], messages: int) -> str:
@@ -420,7 +458,7 @@ def _unknown(record: Record) -> Iterator[str]:
     elif not len(record.series(AS_STATE)):
         yield "the database has no AS_STATE in 0x520, so the car's state is not known: it is not the car's"
     elif record.end_ns - record.begin_ns < SHORT_NS:
-        yield "it is shorter than a second"
+        yield "less than a second was recorded"
     elif not record.ai_speaks and record.unknown_ids.keys() & set(AI_IDS):
         yield "the database does not name the AI computer's messages (0x510 to 0x514): use the car's own, or --revision"
     elif not record.ai_speaks:
