@@ -549,6 +549,8 @@ def test_a_car_on_another_bus_is_not_called_ok(drive: Frames) -> None:
     assert verdict.line().startswith("UNKNOWN: 0x520 is on can1 too: only the car on can0 was judged")
     sensors = judged(in_order(first, other.only(~np.isin(other.can_id, VCU_IDS))))
     assert not sensors.unknown
+    devices = judged(in_order(first, other.only(~np.isin(other.can_id, [*AI_IDS, *VCU_IDS]))))
+    assert devices.ok, "a bus of sensors lacks nothing of the car's"
     gone = in_order(first.only(first.t_ns < drive.t_ns[-1] - 2 * S), other.only(other.t_ns > drive.t_ns[-1] - 2 * S))
     seconds = (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S
     part = judged_frames(gone, part=Part(f"{seconds - 1.5}")).verdict

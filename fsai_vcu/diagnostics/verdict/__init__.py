@@ -250,6 +250,7 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
             and not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
+            and not (finding.kind == "missing" and bus.channel != record.channel)  # another bus has other messages
         ]
     if not cars:
         findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
