@@ -11,7 +11,15 @@ from importlib.resources import files
 from itertools import chain, islice
 from typing import Any, Final
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
+from fsai_vcu.cli.sources import (
+    SOURCE_HELP,
+    Decoding,
+    Sources,
+    add_part_arguments,
+    add_server_arguments,
+    check_server,
+    part_of,
+)
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -34,6 +42,7 @@ WORDS: Final = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", nargs="?", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
     parser.add_argument("--layout", action="store_true", help="print a layout to import, and nothing else")
+    add_part_arguments(parser)
     add_server_arguments(parser, PORT)
 
 
@@ -49,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("a log or an interface is missing")
     check_server(args)
     decoding = Decoding("foxglove", args)
-    sources = Sources("foxglove", [args.source], decoding)
+    sources = Sources("foxglove", [args.source], decoding, part_of(args, decoding))
     source = sources.chunks(args.seconds)
     first = list(islice(source, 1))  # opened before anybody is told of a server
     if not first:

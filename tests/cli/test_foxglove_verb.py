@@ -68,6 +68,14 @@ def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> Non
     assert said["/can/bridge"]["MISSION_STATUS"] == "RUNNING" and said["/can/bridge"]["DIRECTION_REQUEST"] == "FORWARD"
 
 
+def test_a_part_of_a_log_is_played_from_its_begin_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("".join(f"({t_s}.000000) can0 513#3200\n" for t_s in (1000, 1001, 4600)))
+    part = ["--from", "3600", "--messages", "AI2VCU_Steer"]
+    assert main(["foxglove", str(path), "--port", "0", *part]) == 0, "not an hour later"
+    assert capsys.readouterr().out.startswith("ws://127.0.0.1:")
+
+
 @pytest.mark.parametrize(("text", "words"), [(None, "No such file or directory"), ("", "no frames in it")])
 def test_a_log_without_frames_is_one_line_and_no_server(
     text: str | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
