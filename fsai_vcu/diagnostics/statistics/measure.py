@@ -51,7 +51,7 @@ _REMEDIES: Final = {
     "wrong-length": "find who sends it, and see whether --revision is the car's",
     "intruder": "find who sends them: only the AI computer may use 0x510 to 0x514, and it asks for nothing",
     "reserved": "end the program on this computer that sends it",
-    "period": "find who else sends it, and see whether --revision is the car's",
+    "period": "see whether --revision is the car's, whether somebody else sends it too, or its sender is held up",
 }
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
