@@ -40,7 +40,7 @@ WORDS: Final = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", nargs="?", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
+    parser.add_argument("sources", nargs="*", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
     parser.add_argument("--layout", action="store_true", help="print a layout to import, and nothing else")
     add_part_arguments(parser)
     add_server_arguments(parser, PORT)
@@ -54,11 +54,11 @@ def run(args: argparse.Namespace) -> int:
         import foxglove
     except ImportError:
         raise UserError("foxglove-sdk is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
-    if args.source is None:
+    if not args.sources:
         raise WrongUse("a log or an interface is missing")
     check_server(args)
     decoding = Decoding("foxglove", args)
-    sources = Sources("foxglove", [args.source], decoding, part_of(args, decoding))
+    sources = Sources("foxglove", args.sources, decoding, part_of(args, decoding))
     source = sources.chunks(args.seconds)
     first = list(islice(source, 1))  # opened before anybody is told of a server
     if not first:

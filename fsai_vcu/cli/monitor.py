@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import sys
@@ -15,14 +16,23 @@ from itertools import chain, islice
 from pathlib import Path
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, write_out
+from fsai_vcu.cli.sources import (
+    Decoding,
+    Sources,
+    add_database_arguments,
+    add_part_arguments,
+    add_sources_argument,
+    part_of,
+    write_out,
+)
+from fsai_vcu.diagnostics.explain.record import NoFrames
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.verdict import Verdict, judged
-from fsai_vcu.interface.errors import WrongUse
+from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.units import S
 
 EXAMPLE = (
@@ -45,7 +55,8 @@ _PRINT_EVERY_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_source_argument(parser)
+    add_sources_argument(parser)
+    add_part_arguments(parser, messages=False)
     add_database_arguments(parser)
     parser.add_argument("--signals", metavar="NAME,…", help="show these signals; NAME or MESSAGE.NAME, with * and ?")
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
@@ -63,17 +74,16 @@ def run(args: argparse.Namespace) -> int:
         at = Part(args.at)
     except ValueError as error:
         raise WrongUse(str(error).replace("--from", "--at")) from error
-    sources = Sources("monitor", [args.source])
-    if sources.live and (args.at is not None or args.rate is not None):
-        raise WrongUse("--at and --rate are for logs")
+    part = part_of(args)
+    sources = Sources("monitor", args.sources)
+    if sources.live and (part or args.at is not None or args.rate is not None):
+        raise WrongUse("--at, --from, --to and --rate are for logs")
     if not sources.live and args.seconds is not None:
         raise WrongUse("--seconds is for live buses; --at shows a moment of a log")
     decoding = Decoding("monitor", args)
     patterns = decoding.patterns(args.signals)
-    name = args.source.partition(",")[0]
-    view = View(
-        "standard input" if name == "-" else Path(name).name, args.revision, decoding.databases if args.dbc else None
-    )
+    names = ", ".join(Path(name).name for name in sources.names)
+    view = View(names, args.revision, decoding.databases if args.dbc else None)
     chunks = sources.chunks(args.seconds)
     terminal, still = _is_terminal(), not sources.live and args.rate is None
     textual = not (args.plain or args.json) and (terminal or still) and _has_textual()
@@ -87,12 +97,15 @@ def run(args: argparse.Namespace) -> int:
         return status | sources.status
     first = list(islice(chunks, 1))  # with it the log's first moment is known
     begin_ns = sources.first_ns or 0
+    start_ns = (at if args.at is not None or still else part).bounds(begin_ns)[0]
+    until_ns = part.bounds(begin_ns)[1]
     ahead = sources.files or still  # what is played while it is piped in may be without end: it is not kept
     read: list[Frames] = []
+    frames = _noted(chain(first, chunks), read) if ahead else chain(first, chunks)
     log = Log(
-        _noted(chain(first, chunks), read) if ahead else chain(first, chunks),
+        (each.only(each.t_ns <= until_ns) for each in frames),
         view,
-        None if args.at is None else (at.bounds(begin_ns)[0] - begin_ns) / S,
+        (start_ns - begin_ns) / S if math.isfinite(start_ns) else None,
         (args.rate or None) if drawn else args.rate,
         keep=ahead,
     )
@@ -102,14 +115,21 @@ def run(args: argparse.Namespace) -> int:
     @cache
     def verdict() -> Verdict:
         log.read_all()
-        found = judged(joined(read), args.revision, decoding.databases if args.dbc else None, begin_ns=sources.first_ns)
+        try:
+            databases = decoding.databases if args.dbc else None
+            found = judged(joined(read), args.revision, databases, part, begin_ns=sources.first_ns)
+        except NoFrames as error:
+            raise UserError(f"no frame of {sources.name} is in that part") from error
         return found.verdict.unread(sources.status, sources.lost_here)
 
     def findings(until_ns: int) -> list[str]:
         whole = verdict()
         shown = tuple(one for one in whole.findings if one.t_ns is None or one.t_ns <= until_ns)
-        return [f"whole log: {whole.line()}", *replace(whole, findings=shown).lines(remedies=False)]
+        of = "part" if part else "whole log"
+        return [f"{of}: {whole.line()}", *replace(whole, findings=shown).lines(remedies=False)]
 
+    if part and ahead:
+        verdict()  # where no frame is in the part, that is said at once
     if ahead:
         log.findings = findings
     shown = _show(log, every_s, patterns, args, drawn=drawn, still=still and textual)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -13,8 +14,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.services import nodes_module, ros_errors
-from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Sources, add_server_arguments, check_server
+from fsai_vcu.cli.sources import (
+    Decoding,
+    Sources,
+    add_part_arguments,
+    add_server_arguments,
+    add_sources_argument,
+    check_server,
+    part_of,
+)
 from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.monitor.sources import Source
@@ -40,7 +50,8 @@ PLAYED_S: Final = 25.0  # of a log at a time: of so much the view has every fram
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_sources_argument(parser)
+    add_part_arguments(parser, messages=False)
     parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast (default: 1)")
     parser.add_argument("--loop", action="store_true", help="play a log again and again")
     parser.add_argument("--ros", action="store_true", help="also what the running nodes say: cones, path and status")
@@ -56,26 +67,31 @@ def run(args: argparse.Namespace) -> int:
 
     check_numbers(args, rate=0.01)
     check_server(args)
-    sources = Sources("pitwall", [args.source])
-    if sources.live and (args.rate is not None or args.loop):
-        raise WrongUse("--rate and --loop are for logs")
+    part = part_of(args)
+    sources = Sources("pitwall", args.sources)
+    if sources.live and (part or args.rate is not None or args.loop):
+        raise WrongUse("--from, --to, --rate and --loop are for logs")
     if not sources.live and (args.seconds is not None or args.ros):
         raise WrongUse("--seconds and --ros are for live buses")
     if args.namespace and not args.ros:
         raise WrongUse("--namespace goes with --ros")
     databases = Decoding("pitwall", args).databases if args.dbc else None
-    view = View("standard input" if args.source == "-" else Path(sources.name).name, args.revision, databases)
+    view = View(", ".join(Path(name).name for name in sources.names), args.revision, databases)
     chunks = sources.chunks(args.seconds, waits=True)
     try:
         server = Server(args.host, args.port)
     except OSError as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
     source: Source
+    first = list(islice(chunks, 1))  # a bus is opened here, not in the thread; of a log the first moment is known
     if sources.live:
-        first = list(islice(chunks, 1))  # the bus is opened here, not in the thread
         source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
     else:
-        source = Log(chunks, view, None, args.rate or 1.0, keep=args.loop)
+        begin_ns = sources.first_ns or 0
+        low_ns, high_ns = part.bounds(begin_ns)
+        frames = (each.only(each.t_ns <= high_ns) for each in chain(first, chunks))
+        from_s = (low_ns - begin_ns) / S if math.isfinite(low_ns) else None
+        source = Log(frames, view, from_s, args.rate or 1.0, keep=args.loop)
         if source.empty:
             server.server_close()
             return sources.status

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from itertools import takewhile
 from pathlib import Path
 
 from fsai_vcu.cli import report
 from fsai_vcu.cli.sources import (
+    LOG_HELP,
     Decoding,
     Sources,
     add_database_arguments,
     add_part_arguments,
-    add_source_argument,
     part_of,
 )
 from fsai_vcu.diagnostics.explain.record import Record, Series
-from fsai_vcu.interface.errors import UserError
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
 ABOUT = """\
@@ -26,29 +27,34 @@ its exit status, and these signals on top."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_source_argument(parser)
-    parser.add_argument("signals", nargs="+", metavar="SIGNAL", help="NAME or MESSAGE.NAME, with * and ?")
+    parser.add_argument("source", metavar="LOG", help=f"{LOG_HELP}; filters as for dump")
+    signals = "more logs, read as one; then signals: NAME or MESSAGE.NAME, with * and ?"
+    parser.add_argument("words", nargs="+", metavar="SIGNAL", help=signals)
     parser.add_argument("-o", "--output", type=Path, default=Path("plot.png"), metavar="FILE", help="default: plot.png")
     add_part_arguments(parser)
     add_database_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
+    more = list(takewhile(lambda word: Path(word.partition(",")[0]).exists(), args.words))
+    logs, signals = [args.source, *more], args.words[len(more) :]
+    if not signals:
+        raise WrongUse("no signal is named; fsai-vcu dbc show lists them")
     decoding = Decoding("plot", args)
-    sources = Sources("plot", [args.source], part=part_of(args, decoding))
+    sources = Sources("plot", logs, part=part_of(args, decoding))
     if sources.live:
         raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
     if args.output.suffix == ".html":
-        page = vars(args) | {"sources": [args.source], "signals": ",".join(args.signals), "seconds": None}
+        page = vars(args) | {"sources": logs, "signals": ",".join(signals), "seconds": None}
         return report.run(argparse.Namespace(**page))
     sources.check_output(args.output)
     frames = sources.everything()
     if not len(frames):
         return 1
     record = Record(frames, args.revision, decoding.databases if args.dbc else None)
-    groups = record.matching(args.signals)
+    groups = record.matching(signals)
     if not groups:
-        raise UserError(f"no signal {' or '.join(args.signals)} in {sources.name}; fsai-vcu dbc show lists them")
+        raise UserError(f"no signal {' or '.join(signals)} in {sources.name}; fsai-vcu dbc show lists them")
     record.begin_ns = sources.first_ns or record.begin_ns
     _save(args.output, record, groups, sources.name)
     print(f"saved {args.output}: {', '.join(name for group in groups.values() for name, _ in group)}")

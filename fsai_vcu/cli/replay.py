@@ -29,7 +29,7 @@ _LATE_NS: Final = 10_000_000  # a cycle of the bus
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("log", metavar="LOG[,FILTER…]", help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j")
+    add("logs", nargs="+", metavar="LOG[,FILTER…]", help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j")
     add("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
     add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
     add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
@@ -47,9 +47,9 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, loop=0)
     if not 0.0 < args.rate < math.inf:
         raise WrongUse(f"--rate is {args.rate:g}, not a rate")
-    sources = Sources("replay", [args.log], part=part_of(args, Decoding("replay", args)))
+    sources = Sources("replay", args.logs, part=part_of(args, Decoding("replay", args)))
     if sources.live:
-        raise WrongUse(f"{args.log} is an interface; replay reads logs")
+        raise WrongUse(f"{sources.name} is an interface; replay reads logs")
     physical = is_physical(args.interface)
     if physical and not args.physical:
         raise UserError(

@@ -127,10 +127,6 @@ def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
         raise WrongUse(str(error)) from error
 
 
-def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
-    parser.add_argument(name, metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
-
-
 def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
     """`revision`: the one that counts where none is named; None: the frames tell."""
     parser.add_argument(
@@ -257,7 +253,8 @@ class Sources:
             self._rules = [split_source(each) for name in names for each in _unfolded(name)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
-        self.name = ", ".join("standard input" if name == "-" else name for name, _ in self._rules)
+        self.names = ["standard input" if name == "-" else name for name, _ in self._rules]
+        self.name = ", ".join(self.names)
         kinds = {_is_log(name) for name, _ in self._rules}
         if len(kinds) > 1:
             raise WrongUse("logs and live interfaces cannot be read together")

@@ -121,6 +121,24 @@ def test_a_log_is_played_a_line_for_each_second_of_it(log: str, capsys: pytest.C
     ]
 
 
+def test_several_logs_are_one_and_a_part_of_them_is_judged(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = Path(log).read_text().splitlines(keepends=True)
+    logs = [str(tmp_path / name) for name in ("first.log", "second.log")]
+    for path, some in zip(logs, (lines[:300], lines[300:]), strict=True):
+        Path(path).write_text("".join(some))
+    part = ("--from", "4.2", "--to", "5.9")
+    assert main(["check", log, *part]) == 1
+    verdict = capsys.readouterr().out.splitlines()[-1].replace("verdict", "part")
+    assert main(["monitor", *logs, *part, "--rate", "0", "--plain"]) == 1
+    first, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("5.2 s into the log | AS_DRIVING") and last.startswith("5.9 s into the log")
+    assert verdict in last
+    assert main(["monitor", log, "--from", "60", "--plain"]) == 1
+    assert capsys.readouterr().err == f"fsai-vcu monitor: no frame of {log} is in that part\n"
+
+
 def test_played_at_a_rate_a_log_takes_its_time(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     begun_s = time.monotonic()
     lines = shown(capsys, log, "--rate", "10", "--every", "0.1", "--plain")

@@ -35,6 +35,16 @@ def test_a_picture_has_the_name_that_was_given(tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().err == "fsai-vcu plot: cannot write /nowhere/angle.png: No such file or directory\n"
 
 
+def test_several_logs_are_plotted_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [str(log(tmp_path / "a.log")), str(tmp_path / "b.log")]
+    Path(logs[1]).write_text("(3.000000) can0 524#0000000000\n")
+    picture = tmp_path / "both.png"
+    assert main(["plot", *logs, "ANGLE", "HYD_PRESS_F_pct", "-o", str(picture)]) == 0
+    assert capsys.readouterr().out == f"saved {picture}: VCU2AI_Steer.ANGLE, VCU2AI_Brake.HYD_PRESS_F_pct\n"
+    assert main(["plot", *logs]) == 2
+    assert "no signal is named" in capsys.readouterr().err
+
+
 def test_a_page_of_signals_is_the_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "angle.html"
     assert main(["plot", str(log(tmp_path / "a.log")), "ANGLE", "*.ANGLE_MAX", "-o", str(page)]) == 1

@@ -356,6 +356,9 @@ def test_every_problem_says_what_to_do(drive: Frames, spoilt_drives: dict[str, t
     for frames in spoilt:
         problems = [finding for finding in judged(frames).findings if finding.severity == "problem"]
         assert problems and all(finding.remedy for finding in problems), problems
+    lacking = judged(drive.only(~np.isin(drive.can_id, [0x523, 0x525])))
+    first, second, remedy, *_ = lacking.lines()
+    assert "0x523" in first and "0x525" in second and remedy.startswith("    what to do: ")
 
 
 def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:

@@ -134,7 +134,7 @@ class Log:
     def __init__(
         self, chunks: Iterator[Frames], view: View, at_s: float | None, rate: float | None, *, keep: bool = True
     ) -> None:
-        """Plays from its start; where `rate` is None, it stands still at `at_s` or at its end.
+        """Plays from its start or `at_s` on; where `rate` is None, it stands still at `at_s` or at its end.
 
         keep: it can be moved back in; else only the newest is held, however long it is.
         """
@@ -148,8 +148,11 @@ class Log:
         self.playing = rate is not None
         self.empty = not self._read_to(-math.inf)
         self.begin_ns = self.position_ns = view.memory.begin_ns or 0
-        if rate is None:
-            self.seek(self.end_ns if at_s is None else self.begin_ns + round(at_s * S))
+        if at_s is not None:
+            self.seek(self.begin_ns + round(at_s * S))
+        elif rate is None:
+            self.seek(self.end_ns)
+        self._played_from_ns = self.begin_ns if rate is None else self.position_ns
 
     @property
     def end_ns(self) -> int:
@@ -182,10 +185,10 @@ class Log:
             time.sleep(seconds)
 
     def pause(self) -> None:
-        """Hold the picture, or play on; at the end from the start."""
+        """Hold the picture, or play on; at the end again."""
         self.playing = not self.playing
         if self.playing and self.ended:
-            self.seek(self.begin_ns)
+            self.seek(self._played_from_ns)
 
     def look(self) -> Moment:
         if self._looked is None or self._looked.picture.t_ns != self.position_ns:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import islice
+from itertools import groupby, islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -103,12 +103,12 @@ class Verdict:
         return f"OK{end}"
 
     def lines(self, *, remedies: bool = True) -> Iterator[str]:
-        """Each finding as people read it, and what to do about it."""
+        """The findings as people read them, and what to do: once for those beside each other with one remedy."""
         yield from (f"unknown: {why}" for why in self.unknown)
-        for finding in self.findings:
-            yield f"{finding.severity}: {self.moment(finding)}{finding.text}"
-            if finding.remedy and remedies:
-                yield f"    what to do: {finding.remedy}."
+        for remedy, findings in groupby(self.findings, lambda finding: finding.remedy):
+            yield from (f"{finding.severity}: {self.moment(finding)}{finding.text}" for finding in findings)
+            if remedy and remedies:
+                yield f"    what to do: {remedy}."
 
     def moment(self, finding: Finding) -> str:
         """When: seconds since the log's first frame, and the time of day where the log has one."""
