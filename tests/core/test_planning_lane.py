@@ -152,6 +152,20 @@ def test_where_cones_disagree_the_way_found_before_is_left(before_radius: float,
     assert begun_m == [0.0]
 
 
+def test_a_way_across_a_border_is_left_when_its_cones_are_seen(begun_m: list[float]) -> None:
+    """Without colours, beside another lane: before the border was seen so far, the last look led across it."""
+    before = [(x, 0.0) for x in np.arange(-4.0, 8.5, 0.5)]
+    before += [(8.0 + 0.55 * s, -0.84 * s) for s in np.arange(0.5, 6.0, 0.5)]
+    rows = [(x, y) for x in np.arange(-4.0, 12.5, 4.0) for y in (2.4, -2.4)]
+    other = [(x, -5.5) for x in np.arange(-2.0, 13.0, 4.0)]
+    voted = [
+        0.6 * math.copysign(1.0, y) if x < 8.0 else 0.5 * math.copysign(1.0, y) if x == 8.0 else 0.05 for x, y in rows
+    ]
+    known = Known(0.0, 2.4, view_m=14.0, middle_m=np.array(before))
+    path = find_lane(cones_of(rows + other, voted + [0.0] * 4), known, 0.0, SETTINGS).path_m
+    assert 4.0 <= begun_m[0] < 8.0 and np.abs(path[:, 1]).max() < 0.5
+
+
 def test_a_gap_in_a_hairpins_border_is_no_lane_in_view() -> None:
     """Without colours; beyond the two cones 3.5 m from each other nothing stands as far as cones can be seen."""
     rows = [(x, y) for x in np.arange(-3.5, 4.0, 3.5) for y in (2.0, -2.0, 7.0)]

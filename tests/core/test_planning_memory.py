@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -65,6 +67,20 @@ def test_cones_far_behind_are_forgotten() -> None:
     for x, left in ((3.0 + SETTINGS.behind_m - 0.1, 1), (3.0 + SETTINGS.behind_m + 0.1, 0)):
         memory.add(np.zeros((0, 2)), colors(), Motion(x_m=x, distance_m=x))
         assert len(memory) == left
+
+
+def test_false_cones_do_not_gather_before_a_standing_car() -> None:
+    """A look has a false cone anywhere in view, and finds a cone at its edge every third time."""
+    memory, draw = ConeMemory(SETTINGS), np.random.default_rng(3)
+    known = []
+    for look in range(1200):
+        far, angle = 14.0 * math.sqrt(draw.random()), math.radians(55.0) * (2.0 * draw.random() - 1.0)
+        seen = [[far * math.cos(angle), far * math.sin(angle)], *([[13.0, 3.0]] if look % 3 == 0 else [])]
+        memory.add(np.array(seen), colors(*[1] * len(seen)), HERE)
+        xy = memory.around(HERE).xy_m
+        known.append((len(xy), np.hypot(*(xy - (13.0, 3.0)).T).min(initial=9.0)))
+    assert np.mean([count for count, _ in known]) < 3.0 and max(count for count, _ in known) < 8
+    assert max(off for _, off in known[20:]) < SETTINGS.same_cone_m
 
 
 def test_two_cones_side_by_side_stay_two() -> None:
@@ -146,6 +162,16 @@ def test_a_border_of_the_other_colour_outvotes_a_colour(wrong: int, step_m: floa
     expected = sides(1.0, -1.0)
     expected[wrong] = 0.0
     assert list(by_chain(rows(1.6, -1.6, step_m=step_m), seen)) == list(expected)
+
+
+@pytest.mark.parametrize("wrong", range(6))
+@pytest.mark.parametrize("across_m", (3.0, 4.5))
+@pytest.mark.parametrize("step_m", (2.0, 2.5, 3.5, 4.9))
+def test_two_wrong_colours_in_a_row_are_outvoted(wrong: int, across_m: float, step_m: float) -> None:
+    seen = sides(1.0, -1.0)
+    seen[wrong : wrong + 2] *= -1.0
+    side = by_chain(rows(0.5 * across_m, -0.5 * across_m, step_m=step_m), seen)
+    assert all(side * sides(1.0, -1.0) >= 0.0) and sum(side == 0.0) <= 3  # a cone at a row's end may have none
 
 
 @pytest.mark.parametrize("apart_m", (0.5, 1.5, 3.0))

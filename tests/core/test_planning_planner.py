@@ -19,6 +19,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.planner import Planner
+from fsai_vcu.core.planning.pose import to_vehicle
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
 
@@ -81,10 +82,11 @@ def test_missions_without_a_path_get_no_plan(mission: Ami) -> None:
     assert planner.on_cones(observation([(5.0, 1.5)]), Motion()) is None
 
 
+@pytest.mark.parametrize("step_m", (2.0, 2.5, 3.5))
 @pytest.mark.parametrize("side", (1.6, -1.6))
-def test_two_wrong_colours_in_a_row_do_not_bend_the_path(side: float) -> None:
-    xy = np.array([(3.5 * place, y) for place in range(20) for y in (1.6, -1.6)])
-    blue = (xy[:, 1] > 0.0) ^ ((xy[:, 1] == side) & np.isin(xy[:, 0], (17.5, 21.0)))
+def test_two_wrong_colours_in_a_row_do_not_bend_the_path(side: float, step_m: float) -> None:
+    xy = np.array([(step_m * place, y) for place in range(30) for y in (1.6, -1.6)])
+    blue = (xy[:, 1] > 0.0) ^ ((xy[:, 1] == side) & np.isin(xy[:, 0], (5.0 * step_m, 6.0 * step_m)))
     planner = planner_for(Ami.AUTOCROSS)
     for x in np.arange(0.0, 25.0, 0.5):
         ahead = xy - (x, 0.0)
@@ -93,6 +95,33 @@ def test_two_wrong_colours_in_a_row_do_not_bend_the_path(side: float) -> None:
         observation = ConeObservation(round(x * 1e8), ahead[seen], color, np.ones(len(color)))
         plan = planner.on_cones(observation, Motion(observation.t_ns, x_m=x, speed_mps=5.0, distance_m=x))
         assert plan is not None and np.abs(plan.path_m[:, 1]).max(initial=0.0) < 0.2
+
+
+def test_a_way_that_leads_in_a_circle_is_given_up_with_a_word() -> None:
+    """The course goes on straight; the car was led round a ring that never passes the line."""
+    ahead = [(x, y) for x in np.arange(0.0, 45.0, 3.0) for y in (1.6, -1.6)]
+    turns = np.arange(0.3, 2.0 * np.pi - 0.3, 0.3)
+    ring = [(30.0 + r * np.sin(a), 10.0 - r * np.cos(a)) for a in turns for r in (8.4, 11.6)]
+    xy, planner = np.array(ahead + ring), planner_for(Ami.AUTOCROSS)
+    notes = {}
+    for s in np.arange(0.0, 160.0, 0.5):
+        turn = max(0.0, s - 30.0) / 10.0
+        motion = Motion(
+            round(s * 1e8),
+            min(s, 30.0) + 10.0 * np.sin(turn),
+            10.0 - 10.0 * np.cos(turn),
+            turn,
+            5.0,
+            0.5 if turn else 0.0,
+            distance_m=s,
+        )
+        seen = to_vehicle(motion, xy)
+        seen = seen[(np.hypot(*seen.T) < 15.0) & (seen[:, 0] > 1.0)]
+        plan = planner.on_cones(observation(list(map(tuple, seen.tolist())), motion.t_ns), motion)
+        assert plan is not None and (s == 0.0 or (len(plan.path_m) > 0) == ("circle" not in plan.note))
+        notes[s] = plan.note
+    assert not any("circle" in note for s, note in notes.items() if s < 92.0)
+    assert all("a circle of 62 m that does not pass the line" in note for s, note in notes.items() if s > 110.0)
 
 
 def observation(xy: list[tuple[float, float]], t_ns: int = 0) -> ConeObservation:

@@ -20,6 +20,8 @@ PASSED_M = 6.0  # further behind it than this the car has not just passed it
 BEFORE_M = 0.3
 GATE_SHIFT_M = 3.0  # how far the middle of a gate may move from one sighting to the next …
 DRIFT_MAX = 0.08  # … and by how much more of the way driven meanwhile
+AGAIN_STEP_M, AGAIN_M, AGAIN_COS = 1.0, 1.2, 0.9  # so near its earlier way, the car drives it again …
+CIRCLE_MIN_M = 10.0  # … if that was longer ago than this
 SIGHTED_M = 10.0  # of way in which a gate passed was seen right before
 
 
@@ -104,6 +106,37 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     if blind_m > 0.5 * lap_min_m:
         line = Line(motion.x_m, motion.y_m, motion.yaw_rad, seen=line.seen, at_distance_m=motion.distance_m)
     return LapState(line, state.passages + 1, armed=False, passed_at_m=motion.distance_m, sighted=sighted)
+
+
+class Circling:
+    """Whether the car drives a way again that it has driven since it last passed the line: no course has such a way.
+
+    Where the lane was lost, a way round a hairpin's inside or round an island of cones may look like one for ever.
+    """
+
+    def __init__(self) -> None:
+        self._passages = -1
+        self._way: list[tuple[float, float, float, float]] = []  # distance driven, x, y and yaw, at every AGAIN_STEP_M
+        self._again_m = 0.0
+
+    def length_m(self, state: LapState, motion: Motion) -> float | None:
+        """The length of the circle in which the car is; None where it is in none. To be asked with every motion."""
+        if state.passages != self._passages:
+            self._passages, self._way, self._again_m = state.passages, [], 0.0
+        if self._way and motion.distance_m < self._way[-1][0] + AGAIN_STEP_M:
+            return None
+        found = [
+            motion.distance_m - at_m
+            for at_m, x_m, y_m, yaw_rad in self._way
+            if abs(motion.x_m - x_m) < AGAIN_M
+            and abs(motion.y_m - y_m) < AGAIN_M
+            and math.cos(motion.yaw_rad - yaw_rad) > AGAIN_COS
+            and motion.distance_m - at_m > CIRCLE_MIN_M
+        ]
+        self._way.append((motion.distance_m, motion.x_m, motion.y_m, motion.yaw_rad))
+        self._again_m = self._again_m + AGAIN_STEP_M if found else 0.0
+        # A line that lies further on than it did, by odometry, lets the car drive as much of its way again.
+        return found[-1] if found and self._again_m > GATE_SHIFT_M + DRIFT_MAX * found[-1] else None
 
 
 class LapCounter:

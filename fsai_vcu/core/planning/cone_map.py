@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.planning.cone_memory import in_view, matched
+from fsai_vcu.core.planning.cone_memory import aside, in_view, matched
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.immutable import replace
@@ -163,7 +163,7 @@ class ConeMap:
             cones["last_m"][known] = here.distance_m
             cones["trust"][known] += TRUST_GAIN * (1.0 - cones["trust"][known])
         local = to_vehicle(here, cones["xy"][near])
-        missed = near[in_view(local, _lengths(local), settings) & ~found[near]]
+        missed = near[in_view(_lengths(local), aside(local), settings) & ~found[near]]
         cones["trust"][missed] *= 1.0 - TRUST_GAIN
         gone = missed[cones["trust"][missed] < TRUST_MIN]
         moved = near[_lengths(cones["xy"][near] - cones["known"][near]) > MOVED_M]

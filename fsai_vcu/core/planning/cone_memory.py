@@ -63,10 +63,15 @@ _CONE = np.dtype(
         ("seen_at_m", np.float64),
     ]
 )
+SURE_SIDE = 0.3  # of a cone's side, from -1 to 1: beyond it the cone is not expected on the other one
+BESIDE_M = 2.5  # a cone so near may be out of view beside the car
+VIEW_KEPT = 0.999  # from look to look, of how far cones were seen
+# There most looks may miss a cone that stands; false ones must not gather there all the same while the car stands.
+MISSED_AT_THE_EDGE = 1.0 / 3.0
 GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
-# A border is a chain of cones so near each other. By the cosine of the angle by which it turns at one of them: so
-# straight that it outvotes a colour; so little bent that a cone of its colour is surely of it.
-CHAIN_GAP_M, CHAIN_COS, CHAIN_BENT_COS = 5.0, 0.9, 0.3
+# The cones of a border stand in a row: so near each other, and turning so little (cosine of the angle) that it is sure.
+CHAIN_GAP_M, CHAIN_COS = 5.0, 0.9
+CHAIN_PASSES = 2  # so many wrong colours one after the other are found
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -80,6 +85,7 @@ class ConeMemory:
     def clear(self) -> None:
         self._cones = np.zeros(0, _CONE)
         self.total = 0  # cones ever believed
+        self.view_m, self._view_rad = 0.0, 0.0  # how far, and how far to a side, cones are seen
 
     def __len__(self) -> int:
         return len(self._cones)
@@ -90,7 +96,10 @@ class ConeMemory:
         cones = self._cones
         seen = np.zeros(len(cones), dtype=bool)
         before = cones["hits"] >= settings.hits_to_believe
+        self.view_m, self._view_rad = VIEW_KEPT * self.view_m, VIEW_KEPT * self._view_rad
         if len(xy_m):
+            self.view_m = max(self.view_m, float(np.hypot(xy_m[:, 0], xy_m[:, 1]).max()))
+            self._view_rad = max(self._view_rad, float(aside(xy_m).max()))
             at = to_odometry(motion, xy_m)
             new = np.ones(len(at), dtype=bool)
             if len(cones):
@@ -117,7 +126,9 @@ class ConeMemory:
             here = to_vehicle(motion, cones["xy"])
             reach = np.hypot(here[:, 0], here[:, 1])
             hits, misses = cones["hits"], cones["misses"]
-            misses[in_view(here, reach, settings) & ~seen] += 1.0
+            angle = aside(here)
+            perhaps = (reach < self.view_m) & (angle < self._view_rad)
+            misses += ~seen * np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
             self.total += int(((hits >= settings.hits_to_believe) & ~before).sum())
             keep = (
                 (here[:, 0] > -settings.behind_m)
@@ -168,17 +179,22 @@ def matched(at: Floats, known: Floats) -> tuple[Ints, Floats, Bools]:
     return nearest, gap[rows, nearest], gap[:, nearest].argmin(axis=0) == rows
 
 
-def in_view(here: Floats, reach: Floats, settings: PlannerSettings) -> Bools:
-    """(N,) whether a cone there (N, 2, vehicle frame; so far off) would be seen if it stood."""
-    angle = np.abs(np.arctan2(here[:, 1], here[:, 0]))
-    return (reach < settings.view_range_m) & (reach > 2.5) & (angle < settings.view_half_angle_rad)
+def aside(here: Floats) -> Floats:
+    """(N,) the angle to a side at which each place (N, 2, vehicle frame) is seen."""
+    return np.abs(np.arctan2(here[:, 1], here[:, 0]))
+
+
+def in_view(reach: Floats, angle: Floats, settings: PlannerSettings) -> Bools:
+    """(N,) whether a cone so far off, at such an angle to a side, would be seen if it stood."""
+    return (reach > BESIDE_M) & (reach < settings.view_range_m) & (angle < settings.view_half_angle_rad)
 
 
 def by_chain(xy_m: Floats, side: Floats) -> Floats:
     """The sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those that stand in a border of the other
     colour, also at its end as far as it is seen: there the lane says it.
 
-    Such a cone is in line with two of the other colour, one after the other, and not between two of its own.
+    Such a cone is in line with two of the other colour, one after the other, and neither with two of its own nor
+    between two of its own.
     """
     way = xy_m - xy_m[:, None]
     length = np.hypot(way[..., 0], way[..., 1])
@@ -191,12 +207,17 @@ def by_chain(xy_m: Floats, side: Floats) -> Floats:
     whom[cone, place] = neighbour
     x, y = np.zeros((2, *shape))  # of the unit vector to each neighbour
     x[cone, place], y[cone, place] = (way[cone, neighbour] / length[cone, neighbour, None]).T
+    between = x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None] < -CHAIN_COS
+    beyond = x[:, :, None] * x[whom] + y[:, :, None] * y[whom] > CHAIN_COS  # the neighbour, its next one
     known = np.append(side, 0.0)
-    its = known[whom]
-    colors = known[:, None] * its
-    mine = (colors > 0.0)[:, :, None]
-    between = mine & mine.swapaxes(1, 2) & (x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None] < -CHAIN_BENT_COS)
-    # from the cone to its neighbour, and on to the neighbour's next one
-    on = (its[:, :, None] * its[whom] > 0.0) & (x[:, :, None] * x[whom] + y[:, :, None] * y[whom] > CHAIN_COS)
-    contrary = ((colors < 0.0) & on.any(axis=2)).any(axis=1) & ~between.any(axis=(1, 2))
-    return np.where(contrary[:-1], 0.0, side)
+    for _ in range(CHAIN_PASSES):
+        its = known[whom]
+        colors = known[:, None] * its
+        mine = colors > 0.0
+        led = ((its[:, :, None] * its[whom] > 0.0) & beyond).any(axis=2)
+        kept = (mine & led).any(axis=1) | (mine[:, :, None] & mine[:, None] & between).any(axis=(1, 2))
+        contrary = ((colors < 0.0) & led).any(axis=1) & ~kept
+        if not contrary.any():
+            break
+        known[contrary] *= -1.0
+    return np.where(known[:-1] == side, side, 0.0)

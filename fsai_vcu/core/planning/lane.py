@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
-from fsai_vcu.core.planning.cone_memory import Cones
+from fsai_vcu.core.planning.cone_memory import SURE_SIDE, Cones
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 
@@ -144,11 +144,13 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
     size = np.abs(lateral)
     near = (off < 1.0) & (size < OUTSIDE_M)
     beside = near & (along > -1.0)
-    against = beside & ((size < BORDER_NEAR_M) | (size > BORDER_FAR_M) | (lateral * cones.side < -0.3))
+    agree = np.sign(lateral) * cones.side
+    against = beside & ((size < BORDER_NEAR_M) | (size > BORDER_FAR_M) | (agree < -SURE_SIDE))
+    bearing = beside & (agree > SURE_SIDE)
     first_gap_m = _first_gap_m(along[near], settings)
     end_m = min(
         [BELIEVED_M, step_m * (len(line) - 1 - car), *(along[against] - 2.0 * settings.step_m).tolist()]
-        + [_reach(along[beside & (lateral * side > 0.0)], first_gap_m, settings) for side in (1.0, -1.0)]
+        + [_reach(along[bearing & (lateral * side > 0.0)], first_gap_m, settings) for side in (1.0, -1.0)]
     )
     if end_m < settings.step_m:
         return NO_PATH, None
@@ -270,7 +272,7 @@ def _search(
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
     # lanes say) is there.
-    may_stand = np.stack((side > -0.3, side < 0.3))
+    may_stand = np.stack((side > -SURE_SIDE, side < SURE_SIDE))
     reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY).ravel()
     wrong = COST_WRONG_SIDE * np.maximum(0.0, np.concatenate((-side, side)))
 

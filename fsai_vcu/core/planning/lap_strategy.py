@@ -9,7 +9,7 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.laps import advance_laps, gate_seen, staged
+from fsai_vcu.core.missions.laps import Circling, advance_laps, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import BIG, ConeMemory, Cones
 from fsai_vcu.core.planning.course import Course, braking_m
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 SURE = 0.5  # confidence with which the lane found is believed in the next look
-VIEW_KEPT = 0.99  # from look to look, of how far cones were seen
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -45,7 +44,6 @@ class LapStrategy:
         self._state = staged(motion, self._line_ahead_m)
         self._half_width_m = self._settings.lane_half_width_min_m
         self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
-        self._view_m = 0.0  # how far cones are seen
         self._kept: Floats = NO_PATH  # the last path, in the odometry frame
         self._kept_t_ns = 0
         self._kept_confidence = 0.0
@@ -54,6 +52,7 @@ class LapStrategy:
             from fsai_vcu.core.planning.racing import Racing  # slow to import, so not in the middle of a run
 
             self._racing = Racing(self._car, self._settings, motion)
+        self._circling, self._circle_m = Circling(), 0.0
         self._finished_at_m: float | None = None
         self._stop_m = self._missions.lap_stop_m
 
@@ -68,13 +67,16 @@ class LapStrategy:
             reach_m = self._settings.path_step_m * len(path)
             course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)
         else:
-            seen_m = float(np.hypot(seen_xy_m[:, 0], seen_xy_m[:, 1]).max(initial=0.0))
-            self._view_m = max(seen_m, VIEW_KEPT * self._view_m)
             course = self._lane(memory, cones, motion)
             course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
         self._count(cones, course.path_m, here)
         if racing is not None:
             self._state = racing.close(self._state, here)
+        if self._circle_m == 0.0 and self._finished_at_m is None:
+            self._circle_m = self._circling.length_m(self._state, motion) or 0.0
+        if self._circle_m > 0.0:
+            note = f"the car drives in a circle of {self._circle_m:.0f} m that does not pass the line"
+            course = Course(NO_PATH, supported_m=0.0, confidence=0.0, note=note)
         left = None
         if self._finished_at_m is not None:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
@@ -84,7 +86,7 @@ class LapStrategy:
         """The way on in the lane that the cones around the car make."""
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
         middle = to_vehicle(motion, self._middle) if self._kept_confidence > SURE else None
-        known = Known(curvature, self._half_width_m, self._view_m, middle)
+        known = Known(curvature, self._half_width_m, memory.view_m, middle)
         lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
