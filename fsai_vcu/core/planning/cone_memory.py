@@ -196,6 +196,8 @@ def by_chain(xy_m: Floats, side: Floats) -> Floats:
     Such a cone is in line with two of the other colour, one after the other, and neither with two of its own nor
     between two of its own.
     """
+    if not side.any():
+        return side
     way = xy_m - xy_m[:, None]
     length = np.hypot(way[..., 0], way[..., 1])
     cone, neighbour = ((length > 0.0) & (length < CHAIN_GAP_M)).nonzero()
