@@ -138,7 +138,8 @@ def give_up() -> str:
     seconds = ControllerSettings().give_up_s
     return (
         f"A car that has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, is"
-        "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words."
+        "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words. One that drives its own way"
+        "\nagain without passing the line has lost the lane: it gets no path any more, stops, and ends like that."
     )
 
 
