@@ -140,17 +140,8 @@ def driven(folder: Path, *words: str) -> str:
     It goes before other tests, as the car's services do where this is allowed. Beside them a node may all the same get
     no processor for longer than a command may be late: the bridge must end such a drive, and it is driven again.
     """
-    argv = [
-        "nice",
-        "-n",
-        "-10",
-        sys.executable,
-        "-m",
-        "fsai_hil.rehearsal.demo",
-        "--bus",
-        f"loopback:{uuid.uuid4().hex}",
-        "--no-gps",
-    ]
+    demo = (sys.executable, "-m", "fsai_hil.rehearsal.demo", "--bus", f"loopback:{uuid.uuid4().hex}", "--no-gps")
+    argv = ["nice", "-n", "-15", *demo]
     words = ("--out", str(folder), "--without", "path_planner,vehicle_controller", *words)
     for _ in range(RUNS):
         for left in ("bus.log", "bus.json"):  # by an earlier drive
