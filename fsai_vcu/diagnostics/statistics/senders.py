@@ -20,6 +20,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import raw_of
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, Ints, Mask
+from fsai_vcu.diagnostics.statistics.measure import NEVER_NS
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS, S
@@ -28,7 +29,6 @@ SHORT_NS: Final = 200 * MS
 LONG_NS: Final = 1 * S  # a sender that catches up after a pause sends no more than its period allows in this time
 SHORT_EXCESS: Final = 1.5
 CLOSE: Final = 0.75  # of a period
-NEVER_NS: Final = np.iinfo(np.int64).max
 LONG_EXCESS: Final = 1.09
 SLOW_NS: Final = 2 * S  # in which one is told that sends less often than the other, and the same
 SLOW_EXCESS: Final = 1.08
