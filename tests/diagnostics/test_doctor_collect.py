@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import grp
+import ipaddress
 import os
 import socket
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,6 @@ from fsai_vcu.diagnostics.doctor.collect import (
     link_of,
     listening_addresses,
     listening_on_networks,
-    listening_sockets,
 )
 from fsai_vcu.diagnostics.doctor.machine import Scheduling
 
@@ -71,62 +72,79 @@ class Proc:
         (self.process / "cmdline").write_bytes(b"python\0-m\0" + module.encode() + b"\0")
         folder.mkdir(exist_ok=True)
 
+    def opens(self, table: str, local: str, state: str) -> None:
+        """Gives the process a socket, and the kernel's table its line (proc(5))."""
+        (self.process / "fd" / "4").symlink_to("socket:[4711]")
+        (self.process / "net").mkdir()
+        (self.process / "net" / table).write_text(
+            "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
+            f"   0: {local}:1CF2 00000000:0000 {state} 00000000:00000000 00:00000000 00000000 1000 0 4711 1\n"
+            f"   1: 00000000:1CF2 00000000:0000 {state} 00000000:00000000 00:00000000 00000000 1000 0 4712 1\n"
+        )
 
+
+CONNECTED = "01"
+
+
+# Both machines we run on (amd64, arm64) are little-endian, and the kernel writes 32-bit words.
 @pytest.mark.parametrize(
-    ("local", "seen"),
+    ("table", "local", "state", "seen"),
     [
-        ("127.0.0.1:7410", ()),
-        ("0.0.0.0:7410", ("0.0.0.0",)),
-        ("192.168.2.1:7410", ("192.168.2.1",)),
-        ("239.255.0.1:7400", ()),
-        ("*:8080", ("::",)),
-        ("[::]:8080", ("::",)),
-        ("[::1]:8080", ()),
-        ("[fe80::1]%wlan0:8080", ("fe80::1",)),
-        ("[::ffff:192.168.2.1]:8080", ("192.168.2.1",)),
+        ("udp", "0100007F", "07", ()),
+        ("udp", "00000000", "07", ("0.0.0.0",)),
+        ("tcp", "0102A8C0", "0A", ("192.168.2.1",)),
+        ("tcp", "0102A8C0", CONNECTED, ()),
+        ("udp", "0102A8C0", CONNECTED, ()),
+        ("udp", "0100FFEF", "07", ()),  # 239.255.0.1
+        ("tcp6", "00000000000000000000000000000000", "0A", ("::",)),
+        ("tcp6", "00000000000000000000000001000000", "0A", ()),  # ::1
+        ("udp6", "000080FE000000000000000001000000", "07", ("fe80::1",)),
+        ("tcp6", "0000000000000000FFFF00000102A8C0", "0A", ("192.168.2.1",)),
     ],
 )
 def test_a_node_that_listens_on_a_network_is_seen_by_the_address(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, local: str, seen: tuple[str, ...]
+    tmp_path: Path, table: str, local: str, state: str, seen: tuple[str, ...]
 ) -> None:
-    Proc(tmp_path)
-    lines = f'udp UNCONN 0 0 {local} 0.0.0.0:* users:(("python",pid=77,fd=4))\ntcp LISTEN 0 0 0.0.0.0:22 0.0.0.0:*\n'
-    monkeypatch.setattr(collect, "_output", lambda *_: lines)
-    assert listening_on_networks(tmp_path) == seen
+    Proc(tmp_path).opens(table, local, state)
+    assert listening_on_networks(tmp_path) == (seen or (None if state == CONNECTED else ()))
 
 
 def test_a_node_without_read_permission_is_not_called_local_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     proc = Proc(tmp_path)
+    proc.opens("udp", "00000000", "07")
     (proc.process / "environ").touch()
-    for listing in ("", "udp UNCONN 0 0 127.0.0.1:7410 0.0.0.0:*\n"):  # without ss; without the name of the process
-        monkeypatch.setattr(collect, "_output", lambda *_, listing=listing: listing)
-        assert listening_on_networks(tmp_path) is None
 
     def refused(path: Path) -> None:
         raise PermissionError(path)
 
+    monkeypatch.setattr(Path, "iterdir", refused)
+    assert listening_on_networks(tmp_path) is None
     # The names of processes are open to everybody.
     read = Path.read_bytes
     monkeypatch.setattr(Path, "read_bytes", lambda path: refused(path) if path.name == "environ" else read(path))
     assert collect._implementation(tmp_path) is None
 
 
-def test_what_others_listen_on_is_not_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    Proc(tmp_path, module="somebody.else")
-    lines = 'tcp LISTEN 0 0 0.0.0.0:8080 0.0.0.0:* users:(("python",pid=77,fd=4))\n'
-    monkeypatch.setattr(collect, "_output", lambda *_: lines)
+def test_what_others_listen_on_is_not_reported(tmp_path: Path) -> None:
+    Proc(tmp_path, module="somebody.else").opens("tcp", "00000000", "0A")
     assert listening_on_networks(tmp_path) == ()
 
 
 def test_the_kernels_own_tables_are_understood() -> None:
-    with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        tcp.bind(("127.0.0.1", 0))
-        tcp.listen()
-        udp.bind(("127.0.0.1", 0))
-        found = [str(address) for address in listening_addresses(os.getpid(), listening_sockets())]
-    assert found.count("127.0.0.1") >= 2
+    families = [(socket.AF_INET, "127.0.0.1")]
+    if Path("/proc/net/if_inet6").exists():
+        families.append((socket.AF_INET6, "::1"))
+    for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+        for family, local in families:
+            before = listening_addresses(Path("/proc/self"))
+            with socket.socket(family, kind) as opened:
+                opened.bind((local, 0))
+                if kind == socket.SOCK_STREAM:
+                    opened.listen()
+                more = Counter(listening_addresses(Path("/proc/self"))) - Counter(before)
+            assert more[ipaddress.ip_address(local)] == 1
 
 
 def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from fsai_nodes.config_arguments import Configured, ros_arguments
 from fsai_nodes.parameters import NodeError
-from fsai_vcu.diagnostics.doctor.collect import listening_addresses, listening_sockets
+from fsai_vcu.diagnostics.doctor.collect import listening_addresses
 from fsai_vcu.runtime.transport import VARIABLES
 
 LONG_S = 60.0
@@ -73,7 +73,7 @@ class Watched:
         return output
 
     def addresses(self) -> set[str]:
-        found = listening_addresses(self.process.pid, listening_sockets())
+        found = listening_addresses(Path("/proc", str(self.process.pid)))
         return {str(address) for address in found if not (address.is_loopback or address.is_multicast)}
 
     def shares_memory(self) -> bool:

@@ -54,6 +54,8 @@ _MODULES = Path("/lib/modules")
 # linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Of a clock that nothing keeps maxerror is 16 s.
 _TIMEX_BYTES, _MAX_ERROR_AT, _UNSYNCHRONISED_US = 512, struct.calcsize("@Ill0l"), 16_000_000
 
+_TCP_LISTEN, _UDP_UNCONNECTED = "0A", "07"  # net/tcp_states.h
+
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
@@ -333,27 +335,36 @@ def listening_on_networks(proc: Path) -> tuple[str, ...] | None:
 
     None where nothing was found, and this user may not look at all of them: every node has a socket.
     """
-    listing = listening_sockets()
-    of_nodes = [listening_addresses(int(folder.name), listing) for folder in _processes(proc, _NODE_MODULES)]
+    of_nodes = [listening_addresses(process) for process in _processes(proc, _NODE_MODULES)]
     found = {str(each) for each in chain(*of_nodes) if not (each.is_loopback or each.is_multicast)}
     return tuple(sorted(found)) if found or all(of_nodes) else None
 
 
-def listening_sockets() -> str:
-    """A line for each UDP or TCP socket that takes what comes, with the process where this user may see it (ss(8))."""
-    return _output("ss", "-H", "-lntup")
+def listening_addresses(process: Path) -> list[Address]:
+    """The local addresses on which a process takes UDP or TCP; none where this user may not look.
+
+    Args:
+        process: its folder in /proc. ss(8) would look at every process, which takes longer than its answer may.
+    """
+    files = set()
+    with suppress(OSError):
+        for file in (process / "fd").iterdir():
+            with suppress(FileNotFoundError):  # it has just been closed
+                files.add(str(file.readlink()))
+    return [address for inode, address in listening_sockets(process).items() if f"socket:[{inode}]" in files]
 
 
-def listening_addresses(pid: int, listing: str) -> list[Address]:
-    """The local addresses on which a process takes UDP or TCP."""
-    return [local_address(line) for line in listing.splitlines() if f"pid={pid}," in line]
-
-
-def local_address(line: str) -> Address:
-    """Of a line of `listening_sockets`."""
-    text = line.split()[4].rpartition(":")[0].partition("%")[0].strip("[]").replace("*", "::")
-    address = ipaddress.ip_address(text)
-    return getattr(address, "ipv4_mapped", None) or address
+def listening_sockets(process: Path) -> dict[int, Address]:
+    """By inode: the local address of each UDP or TCP socket that takes what comes, in a process's network (proc(5))."""
+    found = {}
+    for name in ("tcp", "tcp6", "udp", "udp6"):
+        for line in _read(process / "net" / name).splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == (_TCP_LISTEN if name.startswith("tcp") else _UDP_UNCONNECTED):
+                words = np.frombuffer(bytes.fromhex(fields[1].partition(":")[0]), ">u4")
+                address = ipaddress.ip_address(words.astype("=u4").tobytes())
+                found[int(fields[9])] = getattr(address, "ipv4_mapped", None) or address
+    return found
 
 
 def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from fsai_hil.rehearsal.carpc import probe, wifi
 from fsai_hil.rehearsal.stack import RunningProcess, holds_within
 from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.diagnostics.doctor.collect import listening_sockets, local_address
+from fsai_vcu.diagnostics.doctor.collect import listening_sockets
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.specification import COMMS_LOST_NS
@@ -291,10 +291,10 @@ class Rehearsal:
         allowed = [name for name, how in confined.items() if not how]
         words = f"{len(confined) - len(allowed)} refused; allowed: {', '.join(allowed)}"
         self.check("inside of the bridge's, nothing but a CAN socket", allowed == [probe.CAN], words)
-        listing = listening_sockets().splitlines()
-        found = [line for line in listing if not local_address(line).is_loopback]
-        words = "; ".join(found) or f"{len(listing)} sockets, all on the loopback"
-        self.check("nothing on this machine listens on a network", bool(listing) and not found, words)
+        listening = listening_sockets(Path("/proc/self")).values()
+        local = bool(listening) and all(address.is_loopback for address in listening)
+        words = f"{len(listening)} sockets, all on the loopback" if local else output("ss", "-H", "-lntup")
+        self.check("nothing on this machine listens on a network", local, words)
 
     def in_the_bridges_place(self, command: str) -> str:
         """What a command prints that is run by the bridge's unit, with all that restricts it."""
