@@ -77,6 +77,11 @@ class ConeMap:
     def _believed(self) -> Bools:
         return np.asarray(self._cones["hits"] >= BELIEVED_HITS)
 
+    @property
+    def _established(self) -> Bools:
+        """Which cones tell where the car is: one that begins to be lost puts new ones where it thinks to see them."""
+        return self._believed & (self._cones["first_m"] < self.here.distance_m - RECENT_M)
+
     def take(self) -> Floats:
         """(N, 2) the cones believed. From now on `changed` tells whether they are still the same."""
         self.changed = False
@@ -92,7 +97,7 @@ class ConeMap:
         near = np.hypot(cones["xy"][:, 0] - here.x_m, cones["xy"][:, 1] - here.y_m) < NEAR_M
         if not self.closed:
             near &= cones["last_m"] > motion.distance_m - RECENT_M
-        firm = near & self._believed
+        firm = near & (self._established if self.closed else self._believed)
         if len(seen_xy_m) and firm.any():
             loose = CLOSED_LOOSER if self.closed else 1.0
             drift_m, drift_rad = DRIFT_M + DRIFT_PER_M * step_m, DRIFT_RAD + DRIFT_RAD_PER_M * step_m
@@ -108,7 +113,7 @@ class ConeMap:
 
     def find(self, seen_xy_m: Floats) -> Motion:
         """Look for the car some metres around where it was thought to be."""
-        cones = self._cones["xy"][self._believed]
+        cones = self._cones["xy"][self._established]
         around = np.hypot(cones[:, 0] - self.here.x_m, cones[:, 1] - self.here.y_m) < NEAR_M
         self.here = located(self.here, LOST_M, seen_xy_m, cones[around]) or self.here
         return self.here

@@ -165,6 +165,11 @@ class ConeMemory:
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
         return Cones(here[index], color.astype(np.int64), side, index)
 
+    def sure(self, index: Ints) -> Bools:
+        """Which of these cones the looks at their place find mostly: two false ones may have stood at one place."""
+        hits, misses = self._cones["hits"][index], self._cones["misses"][index]
+        return np.asarray((hits > self._settings.hits_to_believe) & (hits > 2.0 * misses))
+
     def vote(self, index: Ints, side: Floats) -> None:
         """The lane has these cones on its left (+1) or right (-1), surely or less so."""
         known = self._cones["side"]

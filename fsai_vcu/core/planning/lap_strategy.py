@@ -62,12 +62,13 @@ class LapStrategy:
         here, path, doubt = motion, NO_PATH, ""
         if racing is not None:
             here = racing.see(seen_xy_m, motion)
-            path, doubt = racing.path(cones.xy_m, here), racing.note
+            path, doubt = racing.path(cones.xy_m[memory.sure(cones.index)], here), racing.note
         if racing is not None and len(path):
             reach_m = self._settings.path_step_m * len(path)
             course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)
+            self._kept_confidence = 0.0  # what the last look at the lane found is far behind
         else:
-            course = self._lane(memory, cones, motion)
+            course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
             course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
         self._count(cones, course.path_m, here)
         if racing is not None:
@@ -82,10 +83,11 @@ class LapStrategy:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
         return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
 
-    def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion) -> Course:
-        """The way on in the lane that the cones around the car make."""
+    def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion, middle: Floats | None) -> Course:
+        """The way on in the lane that the cones around the car make. `middle`: the lane's by the map (vehicle frame)."""
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
-        middle = to_vehicle(motion, self._middle) if self._kept_confidence > SURE else None
+        if middle is None and self._kept_confidence > SURE:
+            middle = to_vehicle(motion, self._middle)
         known = Known(curvature, self._half_width_m, memory.view_m, middle)
         lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m

@@ -26,6 +26,7 @@ STEADY = 10  # observations in a row that allow the line before it is joined
 JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
 BEHIND_JOINING = 20  # points of the line: so little behind the place where it joined the car is before it
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
+BEHIND_M, MIDDLE_M = 4.0, 15.0  # of the lane's middle: from behind the car, to ahead of it
 LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
 # A map that was closed at the wrong place: so much way with cones on its line, of which each metre along it makes some
 # forgotten.
@@ -112,6 +113,15 @@ class Racing:
         elif len(path):
             self._contradicted_m = max(0.0, self._contradicted_m - FORGOTTEN * since_m)
         return path
+
+    def middle(self, here: Motion) -> Floats | None:
+        """(M, 2) the lane's middle by the map, in the vehicle frame, from behind the car on; None without a line."""
+        line = self._line
+        if line is None or not self.located:
+            return None
+        first = line.beside(here)[0] - round(BEHIND_M / line.step_m)
+        at = np.arange(first, first + round((BEHIND_M + MIDDLE_M) / line.step_m)) % len(line.xy_m)
+        return line.path(first, BEHIND_M + MIDDLE_M, 0.5 * (line.left_m - line.right_m)[at], here)
 
     def _look_for_line(self) -> None:
         """A share of the work on the line, where the map has changed since it was last worked out."""
