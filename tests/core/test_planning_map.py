@@ -10,6 +10,7 @@ import pytest
 from lap_rig import Ride
 
 from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import random_circuit
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
@@ -69,12 +70,35 @@ def test_the_map_closes_over_the_drift_of_odometry() -> None:
     assert ride.error_m(ride.motion) > 6.0 and ride.error_m(ride.map.here) < 1.0 and ride.map.fit > 0.8
 
 
+def test_a_map_closed_after_two_laps_has_both_borders() -> None:
+    ride = Mapping()
+    ride.drive(2.0 * CIRCUIT.length_m + 26.0)
+    begun_m, ended_m = ride.line_at_m[-2:]
+    assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))
+    assert len(ride.map.take()) == pytest.approx(len(CIRCUIT.cones_xy_m), abs=8)
+
+
 def test_cones_of_another_place_close_no_map() -> None:
     ride = Mapping()
     ride.drive(100.0)
     half = ride.motion.distance_m - 20.0
     assert not ride.map.close(ride.line_at_m[0], half, (0.0, 0.0))
     assert not ride.map.closed
+
+
+def test_a_car_that_skids_is_lost_not_found_among_new_cones() -> None:
+    ride = Mapping()
+    ride.drive(CIRCUIT.length_m + 26.0)
+    begun_m, ended_m = ride.line_at_m
+    assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))
+    ride.sensor = ConeSensor(CIRCUIT, SensorSettings(false_per_scan=1.0), seed=3)
+    ride.drive(20.0)
+    for _ in range(120):
+        ride.drive(0.4)
+        was = ride.motion
+        aside_x_m, aside_y_m = -0.03 * math.sin(was.yaw_rad), 0.03 * math.cos(was.yaw_rad)
+        ride.motion = replace(was, x_m=was.x_m + aside_x_m, y_m=was.y_m + aside_y_m, yaw_rad=was.yaw_rad + 0.01)
+        assert ride.map.fit < 0.5 or ride.error_m(ride.map.here) < 2.0
 
 
 def test_a_displaced_car_is_found_in_the_map() -> None:

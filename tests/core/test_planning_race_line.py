@@ -13,7 +13,7 @@ import pytest
 from lap_rig import CAR, STEP_M, Ride, clearance_m
 
 from fsai_hil.simulator.car import Pose
-from fsai_hil.simulator.sensing import ConeSensor
+from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import Track, random_circuit, small_oval
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion, Plan
@@ -129,16 +129,33 @@ def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     assert not plans[-1].mapped and "map" in plans[-1].note
 
 
-def test_a_map_closed_at_the_wrong_place_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("wrong", [1, 1000])
+def test_a_map_closed_at_the_wrong_place_costs_no_cone(wrong: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    places = []  # the lap is closed at the first one; at the others the car is looked for in its map
+
     def elsewhere(*given: Any) -> Motion | None:
         found = located(*given)
-        return found and replace(found, x_m=found.x_m + 2.0)
+        if found is None or len(places) >= wrong:
+            return found
+        places.append(replace(found, x_m=found.x_m + 2.0))
+        return places[-1]
 
     monkeypatch.setattr(cone_map, "located", elsewhere)
     ride = Ride(WINDING)
-    while "given up" not in (plan := ride.step()).note:
-        assert plan.laps < 2 and clearance_m(ride.pose, WINDING.cones_xy_m) > 0.05
-    assert not plan.mapped and not ride.step().mapped
+    while ride.step().laps < 3:
+        assert clearance_m(ride.pose, WINDING.cones_xy_m) > 0.05
+    assert places
+
+
+def test_two_false_cones_at_one_place_stop_no_race() -> None:
+    ride, plan = mapped()
+    place = ride.pose.ahead(*plan.path_m[16])  # 8 m ahead on the line
+    true = ride.sensor
+    cones, colors = np.vstack((OVAL.cones_xy_m, place)), np.append(OVAL.cone_colors, ConeColor.BLUE)
+    ride.sensor = ConeSensor(replace(OVAL, cones_xy_m=cones, cone_colors=colors), SensorSettings(noise_level=0.0))
+    plans = [ride.step() for _ in range(2)]
+    ride.sensor = true
+    assert all(plan.mapped for plan in (*plans, ride.step(), ride.step()))
 
 
 def test_confidence_falls_as_looks_do_not_confirm_the_map() -> None:

@@ -133,9 +133,10 @@ class ConeMap:
         if found is None:
             return False
         driven = self._spread(found, begun_m)
-        self._merge(old, again, driven)
-        self.here, self.closed, self.changed, self.fit = found, True, True, 1.0
         way = np.array([way for way, _, _ in self._track])
+        lately = way > begun_m - RECENT_M  # laps before this one were driven along the same way
+        self._merge(old, again, way[lately], driven[lately])
+        self.here, self.closed, self.changed, self.fit = found, True, True, 1.0
         lap = driven[way >= begun_m]
         # Where drift has moved the line, the lap ends where it began, not where the line was passed.
         end = _lengths(lap - lap[0]) + np.where(way[way >= begun_m] > ended_m - VIEW_M, 0.0, np.inf)
@@ -202,7 +203,7 @@ class ConeMap:
         cones["xy"] = np.column_stack((moved.real, moved.imag))
         return np.column_stack((bent.real, bent.imag))[:-1]
 
-    def _merge(self, old: Bools, again: Bools, driven_xy_m: Floats) -> None:
+    def _merge(self, old: Bools, again: Bools, way_m: Floats, driven_xy_m: Floats) -> None:
         """Leave one of the several sightings of a cone in different parts of the lap.
 
         What was seen at the beginning of the lap and again at its end is one cone. Any other is known best from where
@@ -213,8 +214,7 @@ class ConeMap:
         gap = gaps(cones["xy"][second], cones["xy"][first])
         same = gap.min(axis=1) < GATE_M
         cones["last_m"][first[gap.argmin(axis=1)[same]]] = self.here.distance_m
-        way = np.array([way for way, _, _ in self._track])
-        passed_m = way[::4][gaps(cones["xy"], driven_xy_m[::4]).argmin(axis=1)]
+        passed_m = way_m[::4][gaps(cones["xy"], driven_xy_m[::4]).argmin(axis=1)]
         across = np.abs(passed_m - cones["way_m"]) > RECENT_M
         across[first] = across[second] = False
         self._cones = np.delete(cones, np.concatenate((second[same], np.flatnonzero(across))))

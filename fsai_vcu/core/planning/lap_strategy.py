@@ -84,7 +84,7 @@ class LapStrategy:
         return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
 
     def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion, middle: Floats | None) -> Course:
-        """The way on in the lane that the cones around the car make. `middle`: the lane's by the map (vehicle frame)."""
+        """The way on in the lane that the cones around the car make. `middle`: the lane's by the map (vehicle)."""
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
         if middle is None and self._kept_confidence > SURE:
             middle = to_vehicle(motion, self._middle)

@@ -28,9 +28,6 @@ BEHIND_JOINING = 20  # points of the line: so little behind the place where it j
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
 BEHIND_M, MIDDLE_M = 4.0, 15.0  # of the lane's middle: from behind the car, to ahead of it
 LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
-# A map that was closed at the wrong place: so much way with cones on its line, of which each metre along it makes some
-# forgotten.
-CONTRADICTED_M, FORGOTTEN = 20.0, 0.1
 BESIDE_M, BESIDE_PER_M = 0.05, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
 
 
@@ -46,8 +43,7 @@ class Racing:
         self._joined_at: int | None = None
         self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
         self._steady = 0
-        self._searched_at_m = self._looked_at_m = motion.distance_m
-        self._contradicted_m = 0.0
+        self._searched_at_m = motion.distance_m
         self.note = ""
 
     @property
@@ -96,22 +92,12 @@ class Racing:
     def path(self, cones_xy_m: Floats, here: Motion) -> Floats:
         """(M, 2) the way on along the race line, in the vehicle frame; nothing where it cannot be trusted.
 
-        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map, and where it does so
-        for long, the map is not used any more.
+        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map.
         """
-        if self._contradicted_m > CONTRADICTED_M:
-            self.note = "the map is given up: cones stood on its race line"
-            return NO_PATH
         self._look_for_line()
         path, self.note = self._along_line(cones_xy_m, here)
         if self.note:
             self._joined_at, self._steady = None, 0
-        since_m = here.distance_m - self._looked_at_m
-        self._looked_at_m = here.distance_m
-        if self.note == ON_LINE:
-            self._contradicted_m += since_m
-        elif len(path):
-            self._contradicted_m = max(0.0, self._contradicted_m - FORGOTTEN * since_m)
         return path
 
     def middle(self, here: Motion) -> Floats | None:
