@@ -42,7 +42,7 @@ clean:  ## remove .venv and everything made by tests and runs
 	find fsai_vcu hil nodes tests -name __pycache__ -prune -exec rm -rf {} +
 
 ##@ Is it safe? Each prints figures, and fails when a rule breaks
-evidence: verify mutation campaign explanations missions pages  ## all of it, into docs; goes on where it was stopped
+evidence: verify mutation campaign explanations missions planning pages  ## all of it, into docs; goes on where it was stopped
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
@@ -84,6 +84,9 @@ bench-check: setup-for-tests  ## bench; fails where a ratio fell below docs/evid
 
 bench-planning: setup  ## how well and how fast the lane is found, with cones missing, swapped, invented or without colours
 	$(BIN)/python -m fsai_hil.rehearsal.bench_planning
+
+planning: setup  ## the same on 50 generated circuits, into docs; TRACKS="FILE.csv …": more; 15 minutes
+	$(BIN)/python -m fsai_hil.rehearsal.bench_planning -o docs/evidence/planning.md $(TRACKS) $$(seq -f generated-%.0f 50)
 
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
 	$(BIN)/python -m fsai_hil.rehearsal.bench_control

@@ -16,11 +16,12 @@ from fsai_vcu.core.planning.planner import Planner
 
 def test_a_hairpin_beside_its_own_lane_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "figures.json"
-    assert bench_planning.main(["hairpin-3.5-0.5", "--condition", "ideal", "--json", str(file)]) == 0
+    page = tmp_path / "page.md"
+    assert bench_planning.main(["hairpin-3.5-0.5", "--condition", "ideal", "--json", str(file), "-o", str(page)]) == 0
     row = json.loads(file.read_text())[0]
     assert row["failed_at_m"] == [] and row["looks"] > 50
     assert 0.0 < row["error_m"] <= row["error_max_m"]
-    assert "ideal" in capsys.readouterr().out
+    assert capsys.readouterr().out in page.read_text()
 
 
 def test_paths_onto_the_cones_or_none_are_failures(monkeypatch: pytest.MonkeyPatch) -> None:

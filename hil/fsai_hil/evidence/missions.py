@@ -124,8 +124,12 @@ def _row(group: Sequence[Mapping[str, Any]]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
-    """The whole document."""
+def _order(run: Mapping[str, Any]) -> tuple[int, str, int, int]:
+    return Ami[run["mission"].upper()], run["track"], list(CONDITIONS).index(run["condition"]), run["seed"]
+
+
+def markdown(runs: Sequence[Mapping[str, Any]]) -> str:
+    """The whole document, of all runs in the record."""
     grouped: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for run in runs:
         grouped.setdefault(_case(run).row, []).append(run)
@@ -134,7 +138,7 @@ def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
     lines = [
         "# Missions",
         "",
-        f"Made by `{command}`; do not edit. Sources: `{digest()}`.",
+        f"Made by `python -m fsai_hil.evidence.missions`; do not edit. Sources: `{digest()}`.",
         "",
         f"{len(runs)} runs of the whole AI side against the simulated car in lockstep, {hours:.1f} simulated hours,"
         " judged by the car's true motion and by the rules on the bus.",
@@ -209,19 +213,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         tracks = None if args.tracks is None else _tracks(args.tracks)
         asked = list(cases(args.missions, args.conditions, args.seeds, tracks))
-        words = list(arguments if arguments is not None else sys.argv[1:])
-        for option in ("--record", "--jobs", "-o", "--output"):
-            if option in words:  # changes no figure
-                at = words.index(option)
-                del words[at : at + 2]
-        names = (",".join(Path(part).name for part in word.split(",")) for word in words)  # not where files lie
-        return _drive(asked, args, " ".join(("python -m fsai_hil.evidence.missions", *names)))
+        return _drive(asked, args)
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
 
 
-def _drive(asked: Sequence[Case], args: argparse.Namespace, command: str) -> int:
+def _drive(asked: Sequence[Case], args: argparse.Namespace) -> int:
     with Record(args.record, {"missions": digest()}) as record:
         if record.kept_as:
             print(f"{record.path} was of other sources, and is now {record.kept_as}", file=sys.stderr)
@@ -230,13 +228,12 @@ def _drive(asked: Sequence[Case], args: argparse.Namespace, command: str) -> int
         results = spread(driven, missing, args.jobs)
         deque(followed(results, "runs", len(missing), _failed, "failed", record=record, to=sys.stderr), 0)
         runs = {_case(run): run for run in record.results}
-    shown = [runs[Case(*case.row, case.seed)] for case in asked]
-    text = markdown(shown, command)
+    text = markdown(sorted(runs.values(), key=_order))
     if args.output:
         args.output.write_text(text, encoding="utf-8")
     else:
         print(text, end="")
-    return 1 if any(run["result"] != "pass" for run in shown) else 0
+    return 1 if any(runs[Case(*case.row, case.seed)]["result"] != "pass" for case in asked) else 0
 
 
 if __name__ == "__main__":

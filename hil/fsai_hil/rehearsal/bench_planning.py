@@ -6,7 +6,7 @@ the path's first 10 m bring the 1.43 m wide car onto the line of cones. The erro
 middle, for a car without a nose (for the car's own sweep the planner moves the path inward in bends). A car beside the
 middle begins its path there, so its first 3 m do not count.
 
-    python -m fsai_hil.rehearsal.bench_planning [TRACK ...] [--json FILE]
+    python -m fsai_hil.rehearsal.bench_planning [TRACK ...] [--json FILE] [-o FILE.md]
 
 TRACK: a built-in track, a file (with its middle in NAME_midline.csv beside it, if there is one), or `hairpin-LANE-GAP`:
 two lanes LANE m wide whose inner rows are GAP m apart (0: one row for both), with a hairpin of 9 m outside at each end.
@@ -37,6 +37,7 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import S
 
+_HOW = [part.replace("\n", " ") for part in (__doc__ or "").split("\n\n")[1:2]]
 RANGE_M, HALF_VIEW_RAD, BLIND_M = 15.0, math.radians(60.0), 0.6
 STEP_M, SPEED_MPS = 0.5, 5.0
 JUDGED_M, SHORT_M, HALF_WIDTH_M = 10.0, 5.0, 1.43 / 2.0
@@ -296,7 +297,7 @@ def bench(names: Sequence[str], conditions: Sequence[Condition] = CONDITIONS) ->
 
 
 def table_of(rows: Sequence[Row]) -> str:
-    """All tracks together, a line for each condition."""
+    """All tracks together, a line for each condition; then what failed where."""
     lines = [f"{'condition':<22}{'looks':>7}{'mean m':>9}{'max m':>8}{'failed %':>10}{'p50 ms':>8}{'p99 ms':>8}"]
     for name in dict.fromkeys(row.condition for row in rows):
         mine = [row for row in rows if row.condition == name]
@@ -307,13 +308,29 @@ def table_of(rows: Sequence[Row]) -> str:
             f"{max(r.error_max_m for r in mine):>8.2f}{100.0 * sum(len(r.failed_at_m) for r in mine) / looks:>10.2f}"
             f"{p50_ms:>8.2f}{p99_ms:>8.2f}"
         )
+    for row in rows:
+        if row.failed_at_m:
+            first = ", ".join(f"{at:.0f}" for at in row.failed_at_m[:8])
+            lines.append(f"  {row.track}, {row.condition}: {len(row.failed_at_m)} of {row.looks} failed, at {first} m")
     return "\n".join(lines)
+
+
+def document(rows: Sequence[Row]) -> str:
+    """The tables as a page: generated circuits by themselves."""
+    parts = ["# Planning", "Made by `python -m fsai_hil.rehearsal.bench_planning`; do not edit.", *_HOW]
+    for title, made in (("Circuits made by the rules", True), ("Other layouts", False)):
+        mine = [row for row in rows if row.track.startswith("generated-") == made]
+        if mine:
+            names = list(dict.fromkeys(row.track for row in mine))
+            parts += [f"## {title}", f"{len(names)}: {', '.join(names)}.", f"```text\n{table_of(mine)}\n```"]
+    return "\n\n".join(parts) + "\n"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench_planning", description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("tracks", nargs="*", metavar="TRACK", default=list(TRACKS))
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure of every track there, too")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="write the tables as a page, too")
     parser.add_argument(
         "--condition", action="append", choices=[condition.name for condition in CONDITIONS], help="only this one"
     )
@@ -324,10 +341,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bench_planning: {error}", file=sys.stderr)
         return 2
     print(table_of(rows))
-    for row in rows:
-        if row.failed_at_m:
-            first = ", ".join(f"{at:.0f}" for at in row.failed_at_m[:8])
-            print(f"  {row.track}, {row.condition}: {len(row.failed_at_m)} of {row.looks} failed, at {first} m")
+    if args.output:
+        args.output.write_text(document(rows), encoding="utf-8")
     if args.json:
         args.json.write_text(json.dumps([asdict(row) for row in rows]))
     return 0
