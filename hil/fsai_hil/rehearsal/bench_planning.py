@@ -297,22 +297,26 @@ def bench(names: Sequence[str], conditions: Sequence[Condition] = CONDITIONS) ->
 
 
 def table_of(rows: Sequence[Row]) -> str:
-    """All tracks together, a line for each condition; then what failed where."""
-    lines = [f"{'condition':<22}{'looks':>7}{'mean m':>9}{'max m':>8}{'failed %':>10}{'p50 ms':>8}{'p99 ms':>8}"]
+    """All tracks together, a line for each condition; then what failed where. As Markdown."""
+    lines = [
+        "| condition            |  looks |  mean m |  max m | failed % | p50 ms | p99 ms |",
+        "|----------------------|-------:|--------:|-------:|---------:|-------:|-------:|",
+    ]
     for name in dict.fromkeys(row.condition for row in rows):
         mine = [row for row in rows if row.condition == name]
         looks = sum(row.looks for row in mine)
         p50_ms, p99_ms = np.percentile([took for row in mine for took in row.took_ms], (50, 99))
+        failed = 100.0 * sum(len(row.failed_at_m) for row in mine) / looks
         lines.append(
-            f"{name:<22}{looks:>7}{sum(r.error_m * r.looks for r in mine) / looks:>9.4f}"
-            f"{max(r.error_max_m for r in mine):>8.2f}{100.0 * sum(len(r.failed_at_m) for r in mine) / looks:>10.2f}"
-            f"{p50_ms:>8.2f}{p99_ms:>8.2f}"
+            f"| {name:<20} | {looks:>6} | {sum(row.error_m * row.looks for row in mine) / looks:>7.4f} "
+            f"| {max(row.error_max_m for row in mine):>6.2f} | {failed:>8.2f} | {p50_ms:>6.2f} | {p99_ms:>6.2f} |"
         )
+    lines.append("")
     for row in rows:
         if row.failed_at_m:
             first = ", ".join(f"{at:.0f}" for at in row.failed_at_m[:8])
-            lines.append(f"  {row.track}, {row.condition}: {len(row.failed_at_m)} of {row.looks} failed, at {first} m")
-    return "\n".join(lines)
+            lines.append(f"- {row.track}, {row.condition}: {len(row.failed_at_m)} of {row.looks} failed, at {first} m")
+    return "\n".join(lines).rstrip()
 
 
 def document(rows: Sequence[Row]) -> str:
@@ -322,7 +326,8 @@ def document(rows: Sequence[Row]) -> str:
         mine = [row for row in rows if row.track.startswith("generated-") == made]
         if mine:
             names = list(dict.fromkeys(row.track for row in mine))
-            parts += [f"## {title}", f"{len(names)}: {', '.join(names)}.", f"```text\n{table_of(mine)}\n```"]
+            named = f"{names[0]} to {names[-1]}" if made else ", ".join(names)
+            parts += [f"## {title}", f"{len(names)}: {named}.", table_of(mine)]
     return "\n\n".join(parts) + "\n"
 
 
