@@ -105,7 +105,8 @@ def run(args: argparse.Namespace) -> int:
         topics.stop()
     _take(listener, topics, recording)
     recording.close(time.monotonic_ns())
-    return _result(args, listener, recording, place, stopped=signal.SIGTERM in ending)
+    half = topics is not None and topics.error is not None
+    return _result(args, listener, recording, place, stopped=signal.SIGTERM in ending) or int(half)
 
 
 def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, ending: list[int]) -> None:

@@ -83,6 +83,18 @@ def test_topics_that_nobody_asked_for_are_left_alone(rig: RosRig, recorder: Topi
     assert recorder.topics == ["/extra"]
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_receiver_that_fails_is_said_once(recorder: TopicRecorder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ArithmeticError("of the test")
+
+    assert recorder.news() == []
+    monkeypatch.setattr(recorder._executor, "spin_once", fails)
+    recorder._thread.join()
+    assert recorder.news() == ["ROS messages are not recorded any more: ArithmeticError('of the test')"]
+    assert recorder.news() == []
+
+
 def test_a_definition_has_every_type_in_it() -> None:
     text = definition_of("nav_msgs/msg/Path")
     parts = text.split("=" * 80 + "\n")

@@ -37,6 +37,7 @@ class TopicRecorder(Listener):
         """A topic without a / at its beginning is one of `namespace`. Raises ValueError where that is none."""
         self._received: deque[RosMessage] = deque()
         self._news: deque[str] = deque()
+        self._told = False  # that receiving has failed
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         super().__init__("recorder", namespace)
@@ -56,6 +57,9 @@ class TopicRecorder(Listener):
         return [self._received.popleft() for _ in range(len(self._received))]
 
     def news(self) -> list[str]:
+        if self.error is not None and not self._told:
+            self._told = True
+            self._news.append(f"ROS messages are not recorded any more: {self.error!r}")
         return [self._news.popleft() for _ in range(len(self._news))]
 
     def _look(self) -> None:
