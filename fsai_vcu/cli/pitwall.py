@@ -40,7 +40,7 @@ a wall, a tablet or a phone, without a network of others. With --ros also what
 the running nodes say: cones, the planned path, the place to stop at, and the
 words of bridge, planner and controller. It never sends, and the page has no
 buttons. It is to be seen on this machine only, unless --host opens it. A log is
-played."""
+played. Needs the extra pitwall (pip install 'fsai-vcu[pitwall]')."""
 Said = tuple[dict[str, Any], dict[str, Any]]  # for the page's state, and for its story
 PORT: Final = 8650
 SHOWN_S: Final = 0.2
@@ -63,8 +63,11 @@ def run(args: argparse.Namespace) -> int:
     os.nice(5)  # what drives the car goes first, and it takes a while to load what follows
     from fsai_vcu.diagnostics.monitor.sources import Live, Log
     from fsai_vcu.diagnostics.monitor.view import View
-    from fsai_vcu.diagnostics.pitwall.server import Server
 
+    try:
+        from fsai_vcu.diagnostics.pitwall.server import Server
+    except ModuleNotFoundError:
+        raise UserError("aiohttp is not installed; install it with: pip install 'fsai-vcu[pitwall]'") from None
     check_numbers(args, rate=0.01)
     check_server(args)
     part = part_of(args)
@@ -93,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         from_s = (low_ns - begin_ns) / S if math.isfinite(low_ns) else None
         source = Log(frames, view, from_s, args.rate or 1.0, keep=args.loop)
         if source.empty:
-            server.server_close()
+            server.socket.close()
             return sources.status
     host = f"[{args.host}]" if ":" in args.host else args.host
     try:

@@ -135,6 +135,16 @@ def test_a_port_in_use_is_one_line(log: str, capsys: pytest.CaptureFixture[str])
     assert said.out == "" and said.err.endswith(": Address already in use\n") and said.err.count("\n") == 1
 
 
+def test_without_aiohttp_one_line_says_how_to_get_it(
+    log: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "aiohttp", None)
+    monkeypatch.delitem(sys.modules, "fsai_vcu.diagnostics.pitwall.server", raising=False)
+    assert main(["pitwall", log]) == 1
+    missing = "aiohttp is not installed; install it with: pip install 'fsai-vcu[pitwall]'"
+    assert capsys.readouterr() == ("", f"fsai-vcu pitwall: {missing}\n")
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_listener_that_fails_ends_it_with_the_reason(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

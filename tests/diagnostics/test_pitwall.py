@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.diagnostics.pitwall import server as serving
 from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
 from fsai_vcu.diagnostics.pitwall.server import MOST_CONNECTIONS, Server
 from fsai_vcu.diagnostics.pitwall.trace import POINTS, Trace
@@ -196,8 +197,8 @@ def test_a_bus_that_goes_away_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def server() -> Iterator[Server]:
-    with Server("127.0.0.1", 0) as serving:
-        yield serving
+    with Server("127.0.0.1", 0) as started:
+        yield started
 
 
 def asked(server: Server, method: str, path: str, host: str | None = None) -> HTTPResponse:
@@ -229,9 +230,18 @@ def test_the_page_and_its_parts_are_served_with_a_policy(server: Server, path: s
     assert b"http" not in answer.read()  # nothing of other machines
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "HEAD", "TRACE", "<b>"])
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "HEAD", "TRACE"])
 def test_every_method_but_get_is_refused(server: Server, method: str) -> None:
     assert asked(server, method, "/").status == 405
+
+
+def test_what_is_no_request_gets_one_plain_line_and_the_policy(
+    server: Server, capfd: pytest.CaptureFixture[str]
+) -> None:
+    answer = asked(server, "<b>", "/")
+    assert (answer.status, answer.headers.get_content_type()) == (400, "text/plain")
+    assert answer.headers["Server"] == "fsai-vcu" and "default-src 'self'" in answer.headers["Content-Security-Policy"]
+    assert answer.read() == b"400 Bad Request\n" and capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("path", ["/x", "/server.py", "/../server.py", "//etc/passwd", "/page.js/../../server.py"])
@@ -267,8 +277,31 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(server: Server) -> None:
             shown = int(str(event(reads)[1]["n"]))
 
 
-def test_more_connections_than_there_are_threads_are_closed(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server.RequestHandlerClass, "timeout", 1000.0)  # not for being idle
+def test_a_viewer_that_takes_nothing_is_dropped_in_time(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(asked(server, "GET", "/events")) as stream:
+        assert stream.readline() == b"retry: 1000\n" and server.viewers == 1
+        monkeypatch.setattr(serving, "TIMEOUT_S", 0.1)
+        while server.viewers:
+            server.publish("state", {"ballast": "x" * 100_000})
+
+
+def test_a_connection_that_asks_nothing_is_closed_in_time(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "TIMEOUT_S", 0.1)
+    with socket.create_connection(server.server_address[:2], timeout=30) as idle:
+        idle.sendall(b"GET / HTTP/1.1\r\nHost: ")
+        assert idle.recv(1) == b""
+
+
+def test_a_viewer_that_goes_away_is_counted_no_more(server: Server, capfd: pytest.CaptureFixture[str]) -> None:
+    with closing(asked(server, "GET", "/events")) as stream:
+        assert stream.readline() == b"retry: 1000\n"
+    while server.viewers:
+        server.publish("state", {"ballast": "x" * 100_000})
+    assert capfd.readouterr() == ("", "")
+
+
+def test_more_connections_than_are_allowed_are_closed(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "TIMEOUT_S", 1000.0)  # not for being idle
     with ExitStack() as connections:
 
         def connect() -> socket.socket:

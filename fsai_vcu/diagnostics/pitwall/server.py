@@ -1,22 +1,23 @@
 """The page over HTTP, to be read only: GET of its three files, and of a stream of events for each viewer.
 
-The standard library's server: what is sent is made once for all viewers, and each has a thread that waits for it.
+aiohttp serves it, in one thread. A viewer that has taken all that was sent gets the newest of each event since then.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
-import sys
 import threading
 import time
-from functools import partial
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, Final
 
+from aiohttp import web
+
 MOST_CONNECTIONS: Final = 64
+TIMEOUT_S = 10.0  # who asks nothing, or takes nothing, for so long is gone
 _FILES: Final = {
     "/": ("page.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
@@ -30,124 +31,130 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
     "Connection": "close",
+    "Server": "fsai-vcu",
 }
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _SEND_BUFFER_BYTES: Final = 32768  # a few seconds of events: what a slow network cannot take is left out, not queued
 
 
-class Server(ThreadingHTTPServer):
+class Server:
     """Serves in a thread from `with` on. `viewers`: how many streams there are."""
-
-    daemon_threads = True
-    request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, host: str, port: int) -> None:
         """Raises OSError."""
-        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.names = _LOOPBACK if host in _LOOPBACK else ()
-        self.viewers = 0
-        self.changed = threading.Condition()
-        self._published: dict[str, tuple[int, bytes]] = {}
-        self._number = 0
-        self.ended = False
-        self._free = threading.Semaphore(MOST_CONNECTIONS)
-        super().__init__((host, port), _Handler)
-
-    def server_bind(self) -> None:
+        self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        super().server_bind()
+        try:
+            self.socket.bind((host, port))
+            self.socket.listen(MOST_CONNECTIONS)
+        except OSError:
+            self.socket.close()
+            raise
+        self.server_address = self.socket.getsockname()
+        self._runner = asyncio.Runner(loop_factory=asyncio.new_event_loop)
+        self._ended, self._news = asyncio.Event(), asyncio.Event()
+        self._published: dict[str, tuple[int, bytes]] = {}
+        self._number = self.viewers = 0
 
     def __enter__(self) -> Server:
-        threading.Thread(target=partial(self.serve_forever, 0.1), daemon=True).start()
+        self._loop = self._runner.get_loop()
+        self._thread = threading.Thread(target=self._runner.run, args=(self._serve(),), daemon=True)
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.shutdown()
-        with self.changed:
-            self.ended = True
-            self.changed.notify_all()
-        self.server_close()
+        self._loop.call_soon_threadsafe(self._ended.set)
+        self._thread.join()
+        self._runner.close()
 
     def publish(self, event: str, data: dict[str, Any]) -> None:
         """To every viewer, in place of the event of that name before."""
         text = json.dumps({"sent_s": round(time.monotonic(), 3), **data}, separators=(",", ":"))
-        with self.changed:
-            self._number += 1
-            self._published[event] = self._number, f"event: {event}\ndata: {text}\n\n".encode()
-            self.changed.notify_all()
+        self._loop.call_soon_threadsafe(self._put, event, f"event: {event}\ndata: {text}\n\n".encode())
 
-    def newer(self, than: int) -> tuple[int, bytes]:
-        """What was published after that number, waited for; and the number to ask with the next time."""
-        with self.changed:
-            self.changed.wait_for(lambda: self._number > than or self.ended)
-            return self._number, b"".join(block for number, block in self._published.values() if number > than)
+    def _put(self, event: str, block: bytes) -> None:
+        self._number += 1
+        self._published[event] = self._number, block
+        self._news.set()
+        self._news = asyncio.Event()
 
-    def count(self, change: int) -> None:
-        with self.changed:
-            self.viewers += change
+    async def _serve(self) -> None:
+        manager = web.Server(self._answer, handler_cancellation=True)
+        listener = await self._loop.create_server(lambda: _Connection(manager, loop=self._loop), sock=self.socket)
+        await self._ended.wait()
+        listener.close()
+        self._news.set()
+        await manager.shutdown(0.2)
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+    async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
+        host = request.headers.get("Host", "")
+        if request.method != "GET":
+            return _error(HTTPStatus.METHOD_NOT_ALLOWED)
+        if self.names and (host.rpartition(":")[0] or host).strip("[]") not in self.names:
+            return _error(HTTPStatus.MISDIRECTED_REQUEST)  # a foreign site's name that leads to this machine
+        if request.path == "/events":
+            return await self._stream(request)
+        if request.path not in _FILES:
+            return _error(HTTPStatus.NOT_FOUND)
+        name, kind = _FILES[request.path]
+        return _begun(web.Response(body=files("fsai_vcu.diagnostics.pitwall").joinpath(name).read_bytes()), kind)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
+    async def _stream(self, request: web.BaseRequest) -> web.StreamResponse:
+        response = _begun(web.StreamResponse(), "text/event-stream")
+        connection, writer = request.protocol, await response.prepare(request)
+        assert isinstance(connection, _Connection) and connection.transport and writer
+        connection.transport.set_write_buffer_limits(0)  # what was sent is the kernel's before more is
+        number, block = 0, b"retry: 1000\n\n"
+        self.viewers += 1
         try:
-            super().process_request_thread(request, client_address)
+            while not self._ended.is_set():
+                connection.patience.reschedule(self._loop.time() + TIMEOUT_S)
+                await writer.write(block)
+                await writer.drain()
+                connection.patience.reschedule(None)
+                if number == self._number:
+                    await self._news.wait()
+                block = b"".join(each for at, each in self._published.values() if at > number)
+                number = self._number
+        except ConnectionError:
+            pass  # a viewer that went away is no error
         finally:
-            self._free.release()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        if not isinstance(sys.exception(), OSError):  # a viewer that went away is no error
-            super().handle_error(request, client_address)
+            self.viewers -= 1
+        return response
 
 
-class _Handler(BaseHTTPRequestHandler):
-    server: Server
-    timeout = 10.0  # of one read or write: who takes nothing for so long is gone
+class _Connection(web.RequestHandler):
+    """`patience` ends it: of a stream that of one write, else that of all."""
 
-    def do_GET(self) -> None:
-        path = self.path.partition("?")[0]
-        host = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if self.server.names and host.strip("[]") not in self.server.names:
-            self.send_error(HTTPStatus.MISDIRECTED_REQUEST)  # a foreign site's name that leads to this machine
-        elif path == "/events":
-            self._stream()
-        elif path in _FILES:
-            name, kind = _FILES[path]
-            self._begin(HTTPStatus.OK, kind)
-            self.wfile.write(files("fsai_vcu.diagnostics.pitwall").joinpath(name).read_bytes())
-        else:
-            self.send_error(HTTPStatus.NOT_FOUND)
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if self._manager and len(self._manager.connections) > MOST_CONNECTIONS:
+            self.force_close()
 
-    def _stream(self) -> None:
-        self._begin(HTTPStatus.OK, "text/event-stream")
-        self.server.count(1)
+    async def start(self) -> None:
+        transport = self.transport
+        assert transport
         try:
-            self.wfile.write(b"retry: 1000\n\n")
-            number = 0
-            while not self.server.ended:
-                number, block = self.server.newer(number)
-                self.wfile.write(block)
-        finally:
-            self.server.count(-1)
+            async with asyncio.timeout(TIMEOUT_S) as self.patience:
+                await super().start()
+        except TimeoutError:
+            transport.abort()
 
-    def _begin(self, status: int, kind: str) -> None:
-        self.send_response(status)
-        for name, value in {"Content-Type": f"{kind}; charset=utf-8", **_HEADERS}.items():
-            self.send_header(name, value)
-        self.end_headers()
+    def handle_error(self, request: web.BaseRequest, status: int = 500, *why: Any, **words: Any) -> web.StreamResponse:
+        """Of what is no request, or of an error of ours."""
+        if status == HTTPStatus.INTERNAL_SERVER_ERROR:
+            super().handle_error(request, status, *why, **words)  # logs it
+        return _error(HTTPStatus(status))
 
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """In one plain line. What is no GET finds no method here: 405."""
-        status = HTTPStatus.METHOD_NOT_ALLOWED if code == HTTPStatus.NOT_IMPLEMENTED else HTTPStatus(code)
-        self.close_connection = True
-        self._begin(status, "text/plain")
-        self.wfile.write(f"{status.value} {status.phrase}\n".encode())
 
-    def version_string(self) -> str:
-        return "fsai-vcu"
+def _begun(response: web.StreamResponse, kind: str) -> web.StreamResponse:
+    """With what every answer has."""
+    response.headers.update({"Content-Type": f"{kind}; charset=utf-8", **_HEADERS})
+    response.force_close()
+    return response
 
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nobody reads who looks."""
+
+def _error(status: HTTPStatus) -> web.StreamResponse:
+    return _begun(web.Response(status=status, body=f"{status.value} {status.phrase}\n".encode()), "text/plain")
