@@ -10,6 +10,7 @@ import json
 import socket
 import threading
 import time
+from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
 from typing import Any, Final
@@ -82,7 +83,7 @@ class Server:
 
     async def _serve(self) -> None:
         manager = web.Server(self._answer, handler_cancellation=True)
-        listener = await self._loop.create_server(lambda: _Connection(manager, loop=self._loop), sock=self.socket)
+        listener = await self._loop.create_server(partial(_Connection, manager, self._loop), sock=self.socket)
         await self._ended.wait()
         listener.close()
         self._news.set()
@@ -128,9 +129,13 @@ class Server:
 class _Connection(web.RequestHandler):
     """`patience` ends it: of a stream that of one write, else that of all."""
 
+    def __init__(self, manager: web.Server, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__(manager, loop=loop)
+        self.manager = manager
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        if self._manager and len(self._manager.connections) > MOST_CONNECTIONS:
+        if len(self.manager.connections) > MOST_CONNECTIONS:
             self.force_close()
 
     async def start(self) -> None:
