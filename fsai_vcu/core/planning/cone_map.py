@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import aside, in_view, matched
-from fsai_vcu.core.planning.pose import NO_PATH, gaps, to_odometry, to_vehicle
+from fsai_vcu.core.planning.pose import NO_PATH, gaps, resampled_ring, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.immutable import replace
 
@@ -38,7 +38,8 @@ CLOSED_LOOSER = 3.0  # a whole map is believed more, and raced in: wheels slip m
 SETTLED = 0.02  # m and rad: a pose moved by less is moved once
 FIT_GAIN = 0.2
 TAKING_FIT = 0.6  # a car that is lost does not change the map
-TRACK_STEP_M = 0.5
+TRACK_STEP_M, RING_STEP_M = 0.5, 2.0
+SHARED_M = 1.0  # a border between two parts of the lap belongs to both
 
 LOST_M = 8.0  # how far from where it is thought to be the car may be found
 # Looking for the car around a guess: coarsely first, then at the best places apart from each other
@@ -70,7 +71,8 @@ class ConeMap:
         self._odometry = self.here = motion
         self.fit = 0.0
         self.closed = False
-        self.lap_xy_m: Floats = NO_PATH  # the way driven in the lap that was closed
+        self.lap_xy_m: Floats = NO_PATH  # the way driven in the lap that was closed …
+        self._ring_xy_m: Floats = NO_PATH  # … and coarsely
         self.changed = False  # since it was last taken
 
     @property
@@ -95,9 +97,13 @@ class ConeMap:
         here = self._carried(motion)
         cones = self._cones
         near = np.hypot(cones["xy"][:, 0] - here.x_m, cones["xy"][:, 1] - here.y_m) < NEAR_M
-        if not self.closed:
+        if self.closed:
+            seen_xy_m = seen_xy_m[self._of_this_part(to_odometry(here, seen_xy_m), here)]
+            near[near] = self._of_this_part(cones["xy"][near], here)
+            firm = near & self._established
+        else:
             near &= cones["last_m"] > motion.distance_m - RECENT_M
-        firm = near & (self._established if self.closed else self._believed)
+            firm = near & self._believed
         if len(seen_xy_m) and firm.any():
             loose = CLOSED_LOOSER if self.closed else 1.0
             drift_m, drift_rad = DRIFT_M + DRIFT_PER_M * step_m, DRIFT_RAD + DRIFT_RAD_PER_M * step_m
@@ -141,7 +147,19 @@ class ConeMap:
         # Where drift has moved the line, the lap ends where it began, not where the line was passed.
         end = _lengths(lap - lap[0]) + np.where(way[way >= begun_m] > ended_m - VIEW_M, 0.0, np.inf)
         self.lap_xy_m = lap[: int(end.argmin())]
+        self._ring_xy_m = resampled_ring(self.lap_xy_m, RING_STEP_M)
         return True
+
+    def _of_this_part(self, xy_m: Floats, here: Motion) -> Bools:
+        """Which places (map frame) are beside the part of the lap that the car is in.
+
+        Another part may pass nearby; how the two lie to each other is known only within what odometry drifts between.
+        """
+        ring = self._ring_xy_m
+        apart = np.abs(np.arange(len(ring)) - gaps(np.array([[here.x_m, here.y_m]]), ring).argmin())
+        part = np.minimum(apart, len(ring) - apart) * RING_STEP_M < RECENT_M
+        away = gaps(xy_m, ring)
+        return np.asarray(away[:, part].min(axis=1) < away.min(axis=1) + SHARED_M)
 
     def _carried(self, motion: Motion) -> Motion:
         """The car in the map frame by its last place there and odometry since."""

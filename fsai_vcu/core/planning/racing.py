@@ -10,6 +10,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import LapState
 from fsai_vcu.core.planning.cone_map import LOST_M, ConeMap
+from fsai_vcu.core.planning.lane import BACKWARD_M
 from fsai_vcu.core.planning.pose import NO_PATH, to_odometry
 from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -26,7 +27,7 @@ STEADY = 10  # observations in a row that allow the line before it is joined
 JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
 BEHIND_JOINING = 20  # points of the line: so little behind the place where it joined the car is before it
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
-BEHIND_M, MIDDLE_M = 4.0, 15.0  # of the lane's middle: from behind the car, to ahead of it
+MIDDLE_M = 15.0  # of the lane's middle, ahead of the car
 LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
 BESIDE_M, BESIDE_PER_M = 0.05, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
 
@@ -105,9 +106,9 @@ class Racing:
         line = self._line
         if line is None or not self.located:
             return None
-        first = line.beside(here)[0] - round(BEHIND_M / line.step_m)
-        at = np.arange(first, first + round((BEHIND_M + MIDDLE_M) / line.step_m)) % len(line.xy_m)
-        return line.path(first, BEHIND_M + MIDDLE_M, 0.5 * (line.left_m - line.right_m)[at], here)
+        first = line.beside(here)[0] - round(BACKWARD_M / line.step_m)
+        at = np.arange(first, first + round((BACKWARD_M + MIDDLE_M) / line.step_m)) % len(line.xy_m)
+        return line.path(first, BACKWARD_M + MIDDLE_M, 0.5 * (line.left_m - line.right_m)[at], here)
 
     def _look_for_line(self) -> None:
         """A share of the work on the line, where the map has changed since it was last worked out."""
