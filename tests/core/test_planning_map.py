@@ -11,7 +11,8 @@ from lap_rig import Ride
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
-from fsai_hil.simulator.tracks import random_circuit
+from fsai_hil.simulator.tracks import Track, random_circuit
+from fsai_hil.simulator.tracks.built_in import circuit_from
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_map import ConeMap, fit_of, located
@@ -23,15 +24,15 @@ CIRCUIT = random_circuit(1)
 class Mapping(Ride):
     """Drives along the middle of the lane and maps."""
 
-    def __init__(self) -> None:
-        super().__init__(CIRCUIT)
+    def __init__(self, track: Track = CIRCUIT) -> None:
+        super().__init__(track)
         self.map = ConeMap(PlannerSettings(), self.motion)
         self.start = self.pose
         self.line_at_m: list[float] = []
 
     def drive(self, way_m: float) -> None:
         end_m = self.motion.distance_m + way_m
-        middle = CIRCUIT.centreline_m
+        middle = self.track.centreline_m
         while self.motion.distance_m < end_m:
             self.map.add(self.see().xy_m, self.motion)
             nearest = int(np.hypot(*(middle - (self.pose.x_m, self.pose.y_m)).T).argmin())
@@ -76,6 +77,38 @@ def test_a_map_closed_after_two_laps_has_both_borders() -> None:
     begun_m, ended_m = ride.line_at_m[-2:]
     assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))
     assert len(ride.map.take()) == pytest.approx(len(CIRCUIT.cones_xy_m), abs=8)
+
+
+def two_straights() -> Mapping:
+    """The map of a lap of two straights side by side, 10 m apart, closed on the first one."""
+    turn = np.linspace(-0.5, 0.5, 24, endpoint=False) * math.pi
+    end = np.column_stack((25.0 + 5.0 * np.cos(turn), 5.0 + 5.0 * np.sin(turn)))
+    along = np.column_stack((np.linspace(-25.0, 25.0, 50, endpoint=False), np.zeros(50)))
+    half = np.concatenate((along, end))
+    ride = Mapping(circuit_from("two straights", np.concatenate((half, (0.0, 10.0) - half)), 25.0, 3.5))
+    ride.drive(ride.track.length_m + 26.0)
+    begun_m, ended_m = ride.line_at_m
+    assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))
+    return ride
+
+
+def test_a_cone_seen_from_two_parts_of_the_lap_is_one() -> None:
+    ride = two_straights()
+    assert len(ride.map.take()) <= len(ride.track.cones_xy_m)
+
+
+def test_another_part_of_the_lap_puts_no_cones_into_the_map() -> None:
+    ride = two_straights()
+    ride.drive(ride.track.length_m - 28.0)  # on the first straight again, past the turn's sight
+    cones = ride.track.cones_xy_m
+    second = (cones[:, 1] > 5.0) & (np.abs(cones[:, 0]) < 12.0)
+    known = ride.map.take()
+    moved = np.where(second[:, None], cones - (0.0, 1.0), cones)  # as odometry has drifted between the two
+    ride.sensor = ConeSensor(replace(ride.track, cones_xy_m=moved))
+    ride.drive(15.0)
+    there = ride.truth(cones[second])
+    near = [np.hypot(*(xy[:, None] - there).transpose(2, 0, 1)).min(axis=1) < 2.0 for xy in (known, ride.map.take())]
+    assert near[0].sum() == near[1].sum() and ride.map.fit > 0.8
 
 
 def test_cones_of_another_place_close_no_map() -> None:

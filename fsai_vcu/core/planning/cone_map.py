@@ -141,7 +141,7 @@ class ConeMap:
         driven = self._spread(found, begun_m)
         way = np.array([way for way, _, _ in self._track])
         lately = way > begun_m - RECENT_M  # laps before this one were driven along the same way
-        self._merge(old, again, way[lately], driven[lately])
+        self._merge(old, again, ended_m - begun_m, way[lately], driven[lately])
         self.here, self.closed, self.changed, self.fit = found, True, True, 1.0
         lap = driven[way >= begun_m]
         # Where drift has moved the line, the lap ends where it began, not where the line was passed.
@@ -221,7 +221,7 @@ class ConeMap:
         cones["xy"] = np.column_stack((moved.real, moved.imag))
         return np.column_stack((bent.real, bent.imag))[:-1]
 
-    def _merge(self, old: Bools, again: Bools, way_m: Floats, driven_xy_m: Floats) -> None:
+    def _merge(self, old: Bools, again: Bools, lap_m: float, way_m: Floats, driven_xy_m: Floats) -> None:
         """Leave one of the several sightings of a cone in different parts of the lap.
 
         What was seen at the beginning of the lap and again at its end is one cone. Any other is known best from where
@@ -233,8 +233,10 @@ class ConeMap:
         same = gap.min(axis=1) < GATE_M
         cones["last_m"][first[gap.argmin(axis=1)[same]]] = self.here.distance_m
         passed_m = way_m[::4][gaps(cones["xy"], driven_xy_m[::4]).argmin(axis=1)]
-        across = np.abs(passed_m - cones["way_m"]) > RECENT_M
-        across[first] = across[second] = False
+        apart_m = np.abs(passed_m - cones["way_m"])
+        across = apart_m > RECENT_M
+        across[first] &= np.abs(lap_m - apart_m)[first] > RECENT_M
+        across[second] = False
         self._cones = np.delete(cones, np.concatenate((second[same], np.flatnonzero(across))))
 
 
