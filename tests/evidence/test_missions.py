@@ -31,8 +31,8 @@ def test_each_mission_track_and_condition_is_a_row(tmp_path: Path) -> None:
     assert main([*recorded(tmp_path, *done), "-o", str(document)]) == 0
     rows = [line for line in document.read_text().splitlines() if line.startswith("| acceleration")]
     assert rows == [
-        "| acceleration | acceleration | nominal | 2 | 2 | 0 | 0 | 0 | 9.5 | 10.0 |",
-        "| acceleration | acceleration | noise | 2 | 2 | 2 | 0 | 0 | 9.0 | 9.0 |",
+        "| acceleration | acceleration | nominal | 2 | 2 | 0 | 0 | 0 | 9.5 | 10.0 | – |",
+        "| acceleration | acceleration | noise | 2 | 2 | 2 | 0 | 0 | 9.0 | 9.0 | – |",
     ]
     assert f"Sources: `{digest()}`" in document.read_text()
     assert "**Failed: 0 of 4 runs.**" in document.read_text()
@@ -43,7 +43,7 @@ def test_a_failed_run_is_named_and_is_the_status(tmp_path: Path, capsys: pytest.
     arguments = recorded(tmp_path, run(1, "nominal"), run(2, "nominal"), run(1, "noise"), failed)
     assert main(arguments) == 1
     document = capsys.readouterr().out
-    assert "| acceleration | acceleration | noise | 2 | 1 | 0 | 1 | 0 | 9.0 | 9.0 |" in document
+    assert "| acceleration | acceleration | noise | 2 | 1 | 0 | 1 | 0 | 9.0 | 9.0 | – |" in document
     assert "acceleration, acceleration, noise, seed 2: off course once" in document
 
 
@@ -60,6 +60,17 @@ def test_cases_are_what_can_be_driven_and_nothing_twice() -> None:
         ("trackdrive", "trackdrive"),
         ("static_inspection_a", "static"),
     }
+
+
+def test_a_circuit_is_raced_on_where_that_is_asked() -> None:
+    found = [(case.mission, case.track) for case in cases(["trackdrive"], ["nominal"], [1], ["small_oval"])]
+    assert found == [("trackdrive", "small_oval")]
+
+
+def test_laps_are_compared_with_the_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    laps = [run(seed, "nominal", times_s=[40.0, 30.0 - seed, 26.0]) for seed in (1, 2)]
+    main([*recorded(tmp_path, *laps, run(1, "noise"), run(2, "noise"))])
+    assert "| 31.5 | 40.0 | 0.792 |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("wrong", [["--conditions", "fog"], ["--seeds", "many"]])
