@@ -93,7 +93,7 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     why = f"no lane among {count} cone{'s' * (count != 1)}" if count else "no cones"
     none = Lane(NO_PATH, NO_PATH, np.zeros(count), half_width, 0.0, 0.0, why)
     ahead = cones.xy_m[:, 0] > -BEHIND_M
-    if ahead.sum() < 2:
+    if np.count_nonzero(ahead) < 2:
         return none
     begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
@@ -108,11 +108,11 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
     start = _beside_car(line)
-    way = line[(np.arange(len(line)) >= start) & (stations <= end_m + stations[start])]
+    way = line[start : int(stations.searchsorted(end_m + stations[start], side="right"))]
     if len(way) < 3:
         return none
     path = resampled(way, settings.path_step_m)
-    vote = np.where((along > -2.0) & (along < VOTE_M), sides * np.clip(1.2 - along / VOTE_M, 0.2, 1.0), 0.0)
+    vote = np.where((along > -2.0) & (along < VOTE_M), sides * np.minimum(np.maximum(1.2 - along / VOTE_M, 0.2), 1.0), 0.0)
     supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
     beside = (along > 0.0) & (along <= end_m)
     confidence, note = _doubts(sides[beside], cones.side[beside], margin)
@@ -121,7 +121,8 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
 
 def _beside_car(line: Floats) -> int:
     """The point of the line that is nearest to the car."""
-    return int((line * line).sum(axis=1).argmin())
+    x, y = line.T
+    return int((x * x + y * y).argmin())
 
 
 def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) -> tuple[Floats, _Begin | None]:
@@ -139,7 +140,7 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
     cos, sin = headings_along(line)
     if math.hypot(*line[car]) > BELIEVED_ASIDE_M or cos[car] < BELIEVED_COS:
         return NO_PATH, None
-    along, lateral, off = _placed(line, cones.xy_m, cos, sin)
+    along, lateral, off = _placed(line, lengths_along(line), cones.xy_m, cos, sin)
     along -= step_m * car
     size = np.abs(lateral)
     near = (off < 1.0) & (size < OUTSIDE_M)
@@ -165,7 +166,7 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
 def _first_gap_m(along: Floats, settings: PlannerSettings) -> float:
     """How far ahead the first cones may be, of borders with cones at these places along the car's way, from BACKWARD_M
     behind the car on."""
-    return settings.border_gap_max_m if (along <= 0.0).any() else max(FIRST_GAP_M, settings.border_gap_max_m)
+    return settings.border_gap_max_m if np.count_nonzero(along <= 0.0) else max(FIRST_GAP_M, settings.border_gap_max_m)
 
 
 def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
@@ -183,8 +184,8 @@ def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
 
 def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
     """Confidence (0…1) and a note about a lane with cones that stand beside it so, but should by what is known."""
-    left, right = int((stands > 0).sum()), int((stands < 0).sum())
-    contrary = int((stands * side < -0.3).sum())
+    left, right = np.count_nonzero(stands > 0), np.count_nonzero(stands < 0)
+    contrary = np.count_nonzero(stands * side < -0.3)
     sure = 1.0 - math.exp(-margin / MARGIN)
     confidence = sure * (1.0 - contrary / max(1, left + right)) * (1.0 if left and right else ONE_BORDER)
     notes = []
@@ -216,7 +217,7 @@ class _Fan:
     bends: Floats  # (B,) 1/m
     bending_cost: Floats  # (B, B) of an arc by its bend (columns) after an arc of another (rows)
     ends: Floats  # (7, 7 B) makes of a pose those at its arcs' ends, one after the other
-    into_ends: Floats  # (3, 2 B) makes of x, y, 1 in a pose's frame the x's, then the y's as seen from its arcs' ends
+    into_ends: Floats  # (2 B, 3) makes of x, y, 1 in a pose's frame the x's, then the y's as seen from its arcs' ends
     sag: Floats  # (B,) how far the arc bulges beyond its chord, times four
     quarters_m: Floats  # (4,) way along an arc to each of its points
 
@@ -227,6 +228,7 @@ BEST = 4  # times the beam's poses: arcs looked at for it, beginning with the be
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
 RAMP_FROM_M = np.array([INSIDE_M, BORDER_FAR_M])[:, None]
 RAMP_SPAN_M = np.array([BORDER_NEAR_M - INSIDE_M, OUTSIDE_M - BORDER_FAR_M])[:, None]
+NEAREST_M = 0.4  # to a pose that a border's cone stands
 
 
 @cache
@@ -246,7 +248,7 @@ def _fan(settings: PlannerSettings) -> _Fan:
         bends,
         COST_BENDING * jerk * jerk * 0.5,
         ends.reshape(7, -1),
-        np.block([[cos, -sin], [sin, cos], [-x * cos - y * sin, x * sin - y * cos]]),
+        np.block([[cos, -sin], [sin, cos], [-x * cos - y * sin, x * sin - y * cos]]).T.copy(),
         0.5 * step * step * bends,
         np.arange(0.0, step - 1e-9, step / 4.0),
     )
@@ -264,7 +266,7 @@ def _search(
     """
     fan = _fan(settings)
     step = settings.step_m
-    reach_m = float(np.hypot(xy[:, 0], xy[:, 1]).max())
+    reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
     unseen_m = max(reach_m, view_m)
@@ -272,37 +274,38 @@ def _search(
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
     # lanes say) is there.
-    may_stand = np.stack((side > -SURE_SIDE, side < SURE_SIDE))
+    agrees = np.array((side, -side))
+    may_stand = agrees > -SURE_SIDE
     reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY).ravel()
-    wrong = COST_WRONG_SIDE * np.maximum(0.0, np.concatenate((-side, side)))
+    wrong = (COST_WRONG_SIDE * np.maximum(0.0, -agrees)).ravel()
+    nearest = np.where(may_stand, NEAREST_M, np.inf).ravel()
 
     poses = np.array(
         [[begin.x_m, begin.y_m, begin.yaw_rad, math.cos(begin.yaw_rad), math.sin(begin.yaw_rad), 0.0, 1.0]]
     )
     bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])  # places in fan.bends
-    ahead, left = _seen_from(poses, xy)
-    counted = counted[:, None]  # (N, P) by each chain so far
+    seen = _seen_from(poses, xy)
+    open_ = ~counted[:, None]  # (N, P) not counted by each chain so far
     history: list[tuple[Floats, Ints, Ints]] = []  # poses; of those that go on from them: the pose, the bend of the arc
 
-    for _ in range(levels):
+    while True:
         # The arcs of the first pose, then those of the second, …
         n_poses = len(poses)
         n_arcs = n_poses * n_bends
-        ends = (poses @ fan.ends).reshape(n_arcs, 7)
+        ends = poses.dot(fan.ends).reshape(n_arcs, 7)
 
         # Cones near each pose, in its frame; of the arcs those that have the cone between their start and end.
-        near = ((ahead >= 0.0) & (ahead < beside_m) & (np.abs(left) < beside_m)).ravel().nonzero()[0]
-        local = np.ones((3, len(near)))
-        ahead.take(near, out=local[0])
-        left.take(near, out=local[1])
-        at_ends = local.T @ fan.into_ends
-        row, its_bend = np.divmod((at_ends[:, :n_bends] < 0.0).ravel().nonzero()[0], n_bends)
-        u0, v0 = local[:2].take(row, axis=1)
-        at_end = 2 * n_bends * row + its_bend
-        u1, v1 = at_ends.take(at_end), at_ends.take(at_end + n_bends)
+        ahead, left, _ = seen
+        near = ((ahead >= 0.0) & (np.maximum(ahead, np.abs(left)) < beside_m)).ravel().nonzero()[0]
+        local = seen.reshape(3, -1).take(near, axis=1)
+        at_ends = fan.into_ends.dot(local).ravel()
+        behind = (at_ends[: n_bends * len(near)] < 0.0).nonzero()[0]
+        its_bend, row = np.divmod(behind, len(near))
+        u0, v0 = local[0].take(row), local[1].take(row)
+        u1, v1 = at_ends.take(behind), at_ends[n_bends * len(near) :].take(behind)
         place = near.take(row)
-        cone, pose = np.divmod(place, n_poses)
-        arc = pose * n_bends + its_bend
+        pair = place * n_bends + its_bend  # of cone and arc
+        cone, arc = np.divmod(pair, n_arcs)
         share = u0 / (u0 - u1)
         lateral = v0 + share * (v1 - v0 - fan.sag.take(its_bend) * (1.0 - share))
 
@@ -313,7 +316,7 @@ def _search(
         charge = (
             COST_IN_THE_WAY * (1.0 - clear)
             + wrong.take(on_side) * ours
-            - reward.take(on_side) * as_border * ~counted.take(place)
+            - reward.take(on_side) * as_border * open_.take(place)
         )
         cost = ends[:, COST] + np.bincount(arc, charge, n_arcs) + fan.bending_cost.take(bend, axis=0).ravel()
         unseen = np.hypot(ends[:, X], ends[:, Y]) > unseen_m
@@ -322,59 +325,67 @@ def _search(
 
         # Keep the best; of chains that end at about the same pose only the best one.
         order = cost.argsort(kind="stable")[: BEST * settings.beam]
-        cell = np.floor(ends.take(order, axis=0)[:, : HEADING + 1] * CELLS) @ CELL_NUMBER
-        kept = _first_of_each(cell.tolist(), order.tolist(), settings.beam)
+        cell = np.floor(ends.take(order, axis=0)[:, : HEADING + 1] * CELLS).dot(CELL_NUMBER)
+        kept = _first_of_each(cell.astype(np.int64).tolist(), order.tolist(), settings.beam)
 
         parent, bend = np.divmod(kept, n_bends)
         history.append((poses, parent, bend))
-        borders = np.zeros((n_cones, n_arcs), dtype=bool)
-        borders.put((cone * n_arcs + arc).compress(as_border > BORDER_MIN), True)
-        counted = counted.take(parent, axis=1) | borders.take(kept, axis=1)
         poses = ends.take(kept, axis=0)
-        ahead, left = _seen_from(poses, xy)
-        shift = _to_middle(ahead, left, fan.bends.take(bend), may_stand)
+        seen = _seen_from(poses, xy)
+        shift = _to_middle(seen, fan.bends.take(bend), nearest)
         poses[:, X] -= shift * poses[:, SIN]
         poses[:, Y] += shift * poses[:, COS]
-        left -= shift
+        if len(history) == levels:
+            break
+        seen[1] -= shift
+        stays_open = np.ones((n_cones, n_arcs), dtype=bool)
+        stays_open.put(pair, as_border <= BORDER_MIN)
+        open_ = open_.take(parent, axis=1) & stays_open.take(kept, axis=1)
 
-    at = int(poses[:, COST].argmin())
+    at = 0  # the poses are in the order of their costs
     last = poses[at, : Y + 1]
     chain: list[tuple[float, ...]] = []  # of each arc, the last one first: where it starts, and its bend
     for starts, parent, bend in reversed(history):
         start = int(parent[at])
-        chain.append((starts[start, X], starts[start, Y], starts[start, HEADING], fan.bends[bend[at]]))
+        chain.append((*starts[start, : HEADING + 1].tolist(), float(fan.bends[bend[at]])))
         at = start
     x, y, heading, curvature = np.array(chain[::-1]).T[:, :, None]
     along = fan.quarters_m
     turn = heading + 0.5 * along * curvature
-    points = np.stack((x + along * np.cos(turn), y + along * np.sin(turn)), axis=-1)
-    arcs = max(1, ARCS_AHEAD - round(begin.along_m / step))
-    return np.concatenate((points.reshape(-1, 2), last[None, :])), _margin(history, poses, arcs)
+    points = np.empty((turn.size + 1, 2))
+    points[:-1, 0], points[:-1, 1] = (x + along * np.cos(turn)).ravel(), (y + along * np.sin(turn)).ravel()
+    points[-1] = last
+    return points, _margin(history, poses, max(1, ARCS_AHEAD - round(begin.along_m / step)))
 
 
 def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
-    """How much more than the best chain the best one costs that is elsewhere after so many arcs."""
+    """How much more than the best chain the best one costs that is elsewhere after so many arcs.
+
+    poses: at the chains' ends, the best first.
+    """
     passed = np.arange(len(poses))
     for _, parent, _ in reversed(history[arcs:]):
         passed = parent.take(passed)
     there = history[arcs][0] if len(history) > arcs else poses
-    at = there[:, : Y + 1].take(passed, axis=0)
-    cost = poses[:, COST]
-    best = int(cost.argmin())
-    others = np.hypot(*(at - at[best]).T) > ELSEWHERE_M
-    return float(cost.min(where=others, initial=np.inf) - cost[best])
+    dx, dy = (there[:, : Y + 1].take(passed, axis=0) - there[passed[0], : Y + 1]).T
+    others = (np.hypot(dx, dy) > ELSEWHERE_M).nonzero()[0]
+    return float(poses[others[0], COST] - poses[0, COST]) if len(others) else math.inf
 
 
-def _seen_from(poses: Floats, xy: Floats) -> tuple[Floats, Floats]:
-    """(N, P) how far ahead of each pose each cone is, and how far to its left."""
+def _seen_from(poses: Floats, xy: Floats) -> Floats:
+    """(3, N, P) how far ahead of each pose each cone is, how far to its left, and 1."""
     dx, dy = xy[:, :1] - poses[:, X], xy[:, 1:] - poses[:, Y]
     cos, sin = poses[:, COS], poses[:, SIN]
-    return dx * cos + dy * sin, dy * cos - dx * sin
+    seen = np.empty((3, *dx.shape))
+    np.add(dx * cos, dy * sin, out=seen[0])
+    np.subtract(dy * cos, dx * sin, out=seen[1])
+    seen[2] = 1.0
+    return seen
 
 
-def _first_of_each(cells: list[float], places: list[int], most: int) -> Ints:
+def _first_of_each(cells: list[int], places: list[int], most: int) -> Ints:
     """The first place in each cell, in the order given, `most` at most. (A tenth of the time of numpy's unique.)"""
-    seen: set[float] = set()
+    seen: set[int] = set()
     kept: list[int] = []
     for cell, place in zip(cells, places, strict=True):
         if cell not in seen:
@@ -385,20 +396,25 @@ def _first_of_each(cells: list[float], places: list[int], most: int) -> Ints:
     return np.array(kept)
 
 
-def _to_middle(ahead: Floats, left: Floats, bend: Floats, may_stand: Bools) -> Floats:
+def _to_middle(seen: Floats, bend: Floats, nearest: Floats) -> Floats:
     """(P,) how far to the left of each pose, which turns with `bend`, the middle between its nearest cones left and
     right is; 0 where there are not both.
 
-    ahead, left: (N, P) the cones as the poses see them; may_stand: (2, N) whether to the left, whether to the right.
+    seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) from where on each is one of the left, of the right.
     """
-    beside = left - 0.5 * bend * ahead * ahead
-    near = np.abs(ahead) < 3.0
-    to_left, to_right = (
-        np.minimum.reduce(np.where(near & (off > 0.4) & may[:, None], off, OUTSIDE_M), axis=0)
-        for may, off in zip(may_stand, (beside, -beside), strict=True)
-    )
-    both = np.maximum(to_left, to_right) < OUTSIDE_M
-    return np.where(both, within(0.5 * (to_left - to_right), 0.5), 0.0)
+    n_cones, n_poses = seen.shape[1:]
+    place = (np.abs(seen[0]) < 3.0).ravel().nonzero()[0]
+    cone, pose = np.divmod(place, n_poses)
+    ahead, left, _ = seen.reshape(3, -1).take(place, axis=1)
+    left -= (0.5 * bend).take(pose) * ahead * ahead
+    to_right = left < 0.0
+    off = np.abs(left)
+    off[off <= nearest.take(cone + n_cones * to_right)] = OUTSIDE_M
+    least = np.full(2 * n_poses, OUTSIDE_M)
+    np.minimum.at(least, pose + n_poses * to_right, off)
+    least_left, least_right = least[:n_poses], least[n_poses:]
+    both = np.maximum(least_left, least_right) < OUTSIDE_M
+    return np.where(both, within(0.5 * (least_left - least_right), 0.5), 0.0)
 
 
 def _behind(curvature_1pm: float, settings: PlannerSettings) -> Floats:
@@ -409,9 +425,10 @@ def _behind(curvature_1pm: float, settings: PlannerSettings) -> Floats:
     return np.stack((s * np.cos(turn), s * np.sin(turn)), axis=-1)
 
 
-def _placed(line: Floats, xy: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats, Floats]:
+def _placed(
+    line: Floats, stations: Floats, xy: Floats, cos: Floats, sin: Floats
+) -> tuple[Floats, Floats, Floats]:
     """(N,) how far along the line each cone is, how far to its left, and how far off the place beside it, m."""
-    stations = lengths_along(line)
     dx, dy = xy[:, None, 0] - line[None, :, 0], xy[:, None, 1] - line[None, :, 1]
     nearest = (dx * dx + dy * dy).argmin(axis=1)
     cell = nearest + len(line) * np.arange(len(nearest))  # of the nearest point in the flattened arrays
@@ -448,7 +465,7 @@ def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
     """
     cos, sin = headings_along(line)
     heading = np.arctan2(sin, cos)
-    if np.abs(heading[1:] - heading[:-1]).max() >= math.pi:
+    if np.maximum.reduce(np.abs(heading[1:] - heading[:-1])) >= math.pi:
         heading = np.unwrap(heading)
     span = max(1, round(1.0 / settings.path_step_m))
     curvature = np.zeros(len(line))
@@ -475,7 +492,7 @@ def _centred(
     """
     stations = lengths_along(line)
     cos, sin = headings_along(line)
-    along, lateral, off = _placed(line, cones.xy_m, cos, sin)
+    along, lateral, off = _placed(line, stations, cones.xy_m, cos, sin)
     size = np.abs(lateral)
     sides = np.sign(lateral)
     usable = (off < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5)
@@ -483,15 +500,17 @@ def _centred(
     sides = np.where(cones.side * sides > -0.5, stands, 0.0)
     # Of cones of one side beside each other only the nearer one is the border.
     close = np.abs(along[:, None] - along) < 3.0
-    for chosen in (stands, sides):
-        nearest_size = np.where(close & (chosen[:, None] == chosen), size[:, None], np.inf).min(axis=0)
+    if not np.count_nonzero(sides != stands):
+        sides = stands
+    for chosen in (stands,) if sides is stands else (stands, sides):
+        nearest_size = np.minimum.reduce(np.where(close & (chosen[:, None] == chosen), size[:, None], np.inf), axis=0)
         chosen[size > nearest_size + 1.2] = 0.0
 
     left, left_known = _border(stations, along, lateral, sides > 0, settings)
     right, right_known = _border(stations, along, lateral, sides < 0, settings)
     both = left_known & right_known
     width = half_width_m
-    if both.any():
+    if np.count_nonzero(both):
         seen = _median((0.5 * (left[both] - right[both])).tolist())
         width = min(max(seen, settings.lane_half_width_min_m), settings.lane_half_width_max_m)
     shift = np.where(
@@ -501,7 +520,7 @@ def _centred(
     )
     known = np.isfinite(shift)
     car_m = float(stations[_beside_car(line)])
-    if not known.any():
+    if not np.count_nonzero(known):
         return line, stands, along - car_m, width, 0.0
     shift = np.interp(stations, stations[known], shift[known])
     moved = _smoothed(_moved_left(line, within(shift, 2.5), cos, sin), settings)

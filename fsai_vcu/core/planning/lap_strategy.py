@@ -44,8 +44,8 @@ class LapStrategy:
         self._state = staged(motion, self._line_ahead_m)
         self._half_width_m = self._settings.lane_half_width_min_m
         self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
-        self._kept: Floats = NO_PATH  # the last path, in the odometry frame
-        self._kept_t_ns = 0
+        self._kept: Floats = NO_PATH  # the last path, in the vehicle frame …
+        self._kept_at = Motion()  # … of then
         self._kept_confidence = 0.0
         self._racing: Racing | None = None
         if self._laps > 1:  # a single lap leaves nothing to race
@@ -95,21 +95,21 @@ class LapStrategy:
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
             memory.vote(cones.index, lane.side)
             self._middle = to_odometry(motion, lane.middle_m)
-            self._kept, self._kept_t_ns, self._kept_confidence = to_odometry(motion, path), motion.t_ns, lane.confidence
+            self._kept, self._kept_at, self._kept_confidence = path, motion, lane.confidence
             return Course(path, supported_m=lane.supported_m, confidence=lane.confidence, note=lane.note)
         path = self._kept_path(motion)
         if not len(path):
             return Course(path, supported_m=0.0, confidence=0.0, note=lane.note)
-        age_ns = motion.t_ns - self._kept_t_ns
+        age_ns = motion.t_ns - self._kept_at.t_ns
         confidence = self._kept_confidence * (1.0 - age_ns / (self._settings.keep_path_ns + 1))
         note = f"path kept from {age_ns / S:.1f} s ago"
         return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note)
 
     def _kept_path(self, motion: Motion) -> Floats:
         """What is left of the last path, if it is not too old."""
-        if not len(self._kept) or motion.t_ns - self._kept_t_ns > self._settings.keep_path_ns:
+        if not len(self._kept) or motion.t_ns - self._kept_at.t_ns > self._settings.keep_path_ns:
             return NO_PATH
-        path = to_vehicle(motion, self._kept)
+        path = to_vehicle(motion, to_odometry(self._kept_at, self._kept))
         ahead = path[int(np.hypot(path[:, 0], path[:, 1]).argmin()) :]
         return ahead if len(ahead) >= 5 else NO_PATH
 

@@ -13,9 +13,10 @@ from fsai_vcu.core.driving import Motion
 def to_odometry(motion: Motion, xy_m: Floats) -> Floats:
     """(N, 2) points of the vehicle frame, in the odometry frame."""
     cos, sin = math.cos(motion.yaw_rad), math.sin(motion.yaw_rad)
+    by_cos, by_sin = cos * xy_m, sin * xy_m
     out = np.empty_like(xy_m)
-    out[:, 0] = motion.x_m + cos * xy_m[:, 0] - sin * xy_m[:, 1]
-    out[:, 1] = motion.y_m + sin * xy_m[:, 0] + cos * xy_m[:, 1]
+    np.subtract(motion.x_m + by_cos[:, 0], by_sin[:, 1], out=out[:, 0])
+    np.add(motion.y_m + by_sin[:, 0], by_cos[:, 1], out=out[:, 1])
     return out
 
 
@@ -24,8 +25,8 @@ def to_vehicle(motion: Motion, xy_m: Floats) -> Floats:
     cos, sin = math.cos(motion.yaw_rad), math.sin(motion.yaw_rad)
     dx, dy = xy_m[:, 0] - motion.x_m, xy_m[:, 1] - motion.y_m
     out = np.empty_like(xy_m)
-    out[:, 0] = cos * dx + sin * dy
-    out[:, 1] = cos * dy - sin * dx
+    np.add(cos * dx, sin * dy, out=out[:, 0])
+    np.subtract(cos * dy, sin * dx, out=out[:, 1])
     return out
 
 
