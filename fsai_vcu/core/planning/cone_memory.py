@@ -7,6 +7,7 @@ no longer find it, when it is far behind, and when it has not been seen for a lo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +44,8 @@ def believable(observation: ConeObservation, settings: PlannerSettings) -> tuple
     count = min(len(xy), len(color), len(confidence))
     xy, color, confidence = xy[:count], color[:count], confidence[:count]
     with np.errstate(invalid="ignore", over="ignore"):
-        good = (
-            np.isfinite(xy).all(axis=1)
-            & (confidence >= settings.confidence_min)
-            & (np.hypot(xy[:, 0], xy[:, 1]) <= settings.range_max_m)
-        )
+        # What is not finite is not within range either.
+        good = (confidence >= settings.confidence_min) & (np.hypot(xy[:, 0], xy[:, 1]) <= settings.range_max_m)
     xy, color = xy[good], color[good]
     color = np.where((color < 0) | (color >= N_COLORS), int(ConeColor.UNKNOWN), color)
     return xy, color
@@ -98,8 +96,8 @@ class ConeMemory:
         before = cones["hits"] >= settings.hits_to_believe
         self.view_m, self._view_rad = VIEW_KEPT * self.view_m, VIEW_KEPT * self._view_rad
         if len(xy_m):
-            self.view_m = max(self.view_m, float(np.hypot(xy_m[:, 0], xy_m[:, 1]).max()))
-            self._view_rad = max(self._view_rad, float(aside(xy_m).max()))
+            self.view_m = max(self.view_m, float(np.maximum.reduce(np.hypot(xy_m[:, 0], xy_m[:, 1]))))
+            self._view_rad = max(self._view_rad, float(np.maximum.reduce(aside(xy_m))))
             at = to_odometry(motion, xy_m)
             new = np.ones(len(at), dtype=bool)
             if len(cones):
@@ -115,13 +113,13 @@ class ConeMemory:
                 cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
                 cones["votes"][known, color[same]] += 1.0
                 cones["seen_at_m"][known] = motion.distance_m
-            if new.any():
-                added = np.zeros(int(new.sum()), _CONE)
+            if count := np.count_nonzero(new):
+                added = np.zeros(count, _CONE)
                 added["xy"], added["hits"], added["seen_at_m"] = at[new], 1.0, motion.distance_m
-                added["votes"][np.arange(len(added)), color[new]] = 1.0
-                cones = np.concatenate((cones, added))
-                seen = np.concatenate((seen, np.ones(len(added), dtype=bool)))
-                before = np.concatenate((before, np.zeros(len(added), dtype=bool)))
+                added["votes"][np.arange(count), color[new]] = 1.0
+                cones = joined(cones, added)
+                seen = np.concatenate((seen, np.ones(count, dtype=bool)))
+                before = np.concatenate((before, np.zeros(count, dtype=bool)))
         if len(cones):
             here = to_vehicle(motion, cones["xy"])
             reach = np.hypot(here[:, 0], here[:, 1])
@@ -129,7 +127,7 @@ class ConeMemory:
             angle = aside(here)
             perhaps = (reach < self.view_m) & (angle < self._view_rad)
             misses += ~seen * np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
-            self.total += int(((hits >= settings.hits_to_believe) & ~before).sum())
+            self.total += np.count_nonzero((hits >= settings.hits_to_believe) & ~before)
             keep = (
                 (here[:, 0] > -settings.behind_m)
                 & (reach < 3.0 * settings.range_max_m)
@@ -138,16 +136,15 @@ class ConeMemory:
                 # Seen once or twice and then missed as often: not a cone.
                 & ~((hits <= 2.0) & (misses > hits))
             )
-            self._cones = cones if keep.all() else cones[keep]
+            self._cones = cones if np.count_nonzero(keep) == len(keep) else cones[keep]
 
     def around(self, motion: Motion) -> Cones:
         """The cones believed, as seen from `motion`."""
         known = self._cones
         here = to_vehicle(motion, known["xy"])
-        index = np.flatnonzero(
-            (known["hits"] >= self._settings.hits_to_believe)
-            & (np.hypot(here[:, 0], here[:, 1]) <= self._settings.range_max_m)
-        )
+        believed = known["hits"] >= self._settings.hits_to_believe
+        index = (believed & (np.hypot(here[:, 0], here[:, 1]) <= self._settings.range_max_m)).nonzero()[0]
+        here = here[index]
         seen = known["votes"][index]
         votes = seen.copy()
         # A gate stops the car and counts its laps: it takes more than a slip of the detector to make one.
@@ -157,13 +154,13 @@ class ConeMemory:
         # A colour counts where it was seen in at least every third look: colourless sightings do not outvote it.
         has_color = colored.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
         color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
-        by_color = by_chain(here[index], SIDES.take(color))
+        by_color = by_chain(here, SIDES.take(color))
         lane = known["side"][index]
         # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
         contrary = within(by_color + lane / OUTVOTES, 1.0)
         by_lane = within(lane / 4.0, 0.6)
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
-        return Cones(here[index], color.astype(np.int64), side, index)
+        return Cones(here, color.astype(np.int64), side, index)
 
     def sure(self, index: Ints) -> Bools:
         """Which of these cones the looks at their place find mostly: two false ones may have stood at one place."""
@@ -180,8 +177,13 @@ def matched(at: Floats, known: Floats) -> tuple[Ints, Floats, Bools]:
     """(N,) for each place (N, 2) the nearest of the known ones (M, 2), how far it is, and whether no other place is
     nearer to it."""
     gap = gaps(at, known)
-    nearest, rows = gap.argmin(axis=1), np.arange(len(at))
-    return nearest, gap[rows, nearest], gap[:, nearest].argmin(axis=0) == rows
+    nearest = gap.argmin(axis=1)
+    return nearest, np.minimum.reduce(gap, axis=1), gap.argmin(axis=0).take(nearest) == np.arange(len(at))
+
+
+def joined(cones: Any, more: Any) -> Any:
+    """The rows of both, which are of one type and hold nothing but floats. (A tenth of the time of joining records.)"""
+    return np.concatenate((cones.view(np.float64), more.view(np.float64))).view(cones.dtype)
 
 
 def aside(here: Floats) -> Floats:
@@ -201,30 +203,35 @@ def by_chain(xy_m: Floats, side: Floats) -> Floats:
     Such a cone is in line with two of the other colour, one after the other, and neither with two of its own nor
     between two of its own.
     """
-    if not side.any():
+    if not np.count_nonzero(side):
         return side
-    way = xy_m - xy_m[:, None]
-    length = np.hypot(way[..., 0], way[..., 1])
-    cone, neighbour = ((length > 0.0) & (length < CHAIN_GAP_M)).nonzero()
-    if not len(cone):
+    count = len(xy_m)
+    dx, dy = xy_m[:, 0] - xy_m[:, :1], xy_m[:, 1] - xy_m[:, 1:]
+    length = np.hypot(dx, dy)
+    pair = ((length > 0.0) & (length < CHAIN_GAP_M)).ravel().nonzero()[0]
+    if not len(pair):
         return side
+    cone, neighbour = np.divmod(pair, count)
     place = np.arange(len(cone)) - cone.searchsorted(cone)  # the neighbour's among those of its cone
-    shape = len(xy_m) + 1, int(place.max()) + 1  # the last cone is no cone, and without a colour
-    whom = np.full(shape, len(xy_m))
-    whom[cone, place] = neighbour
-    x, y = np.zeros((2, *shape))  # of the unit vector to each neighbour
-    x[cone, place], y[cone, place] = (way[cone, neighbour] / length[cone, neighbour, None]).T
-    between = x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None] < -CHAIN_COS
-    beyond = x[:, :, None] * x[whom] + y[:, :, None] * y[whom] > CHAIN_COS  # the neighbour, its next one
+    shape = count + 1, int(np.maximum.reduce(place)) + 1  # the last cone is no cone, and without a colour
+    whom, (x, y) = np.full(shape, count), np.zeros((2, *shape))  # each neighbour, and the unit vector to it
+    slot, size = cone * shape[1] + place, length.take(pair)
+    whom.put(slot, neighbour)
+    x.put(slot, dx.take(pair) / size)
+    y.put(slot, dy.take(pair) / size)
+    beyond = x[:, :, None] * x.take(whom, axis=0) + y[:, :, None] * y.take(whom, axis=0) > CHAIN_COS  # and its next one
     known = np.append(side, 0.0)
     for _ in range(CHAIN_PASSES):
-        its = known[whom]
+        its = known.take(whom)
         colors = known[:, None] * its
+        led = ((its[:, :, None] * its.take(whom, axis=0) > 0.0) & beyond).any(axis=2)
+        contrary = ((colors < 0.0) & led).any(axis=1)
+        if not np.count_nonzero(contrary):
+            break
         mine = colors > 0.0
-        led = ((its[:, :, None] * its[whom] > 0.0) & beyond).any(axis=2)
-        kept = (mine & led).any(axis=1) | (mine[:, :, None] & mine[:, None] & between).any(axis=(1, 2))
-        contrary = ((colors < 0.0) & led).any(axis=1) & ~kept
-        if not contrary.any():
+        between = x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None] < -CHAIN_COS
+        contrary &= ~((mine & led).any(axis=1) | (mine[:, :, None] & mine[:, None] & between).any(axis=(1, 2)))
+        if not np.count_nonzero(contrary):
             break
         known[contrary] *= -1.0
     return np.where(known[:-1] == side, side, 0.0)

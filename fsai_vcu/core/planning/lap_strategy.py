@@ -69,7 +69,8 @@ class LapStrategy:
             self._kept_confidence = 0.0  # what the last look at the lane found is far behind
         else:
             course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
-            course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
+            if doubt:
+                course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
         self._count(cones, course.path_m, here)
         if racing is not None:
             self._state = racing.close(self._state, here)

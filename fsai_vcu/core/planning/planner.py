@@ -12,13 +12,16 @@ from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.acceleration_strategy import AccelerationStrategy
 from fsai_vcu.core.planning.cone_memory import ConeMemory, believable
-from fsai_vcu.core.planning.course import Strategy
+from fsai_vcu.core.planning.course import Course, Strategy
 from fsai_vcu.core.planning.lap_strategy import LapStrategy
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.planning.skidpad_strategy import SkidpadStrategy
 from fsai_vcu.core.vehicle.odometry import motion_at
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
+
+
+COURSE_FIELDS = tuple(field.name for field in fields(Course))
 
 
 class Planner:
@@ -81,7 +84,7 @@ class Planner:
             t_sensor_ns=obs.t_ns,
             run_id=self._run.run_id,
             mission=self._run.mission,
-            **{field.name: getattr(course, field.name) for field in fields(course)},
+            **{name: getattr(course, name) for name in COURSE_FIELDS},
             cones_count_actual=len(xy),
             cones_count_all=self._memory.total,
         )
