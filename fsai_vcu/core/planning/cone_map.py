@@ -247,7 +247,7 @@ class ConeMap:
 
 def registered(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats, drift_m: float, drift_rad: float) -> Motion:
     """The pose near `here` from which the cones seen stand where they are known to, weighed against drift."""
-    prior = np.diag((drift_m**-2, drift_m**-2, drift_rad**-2))
+    prior = np.array(((drift_m**-2, 0.0, 0.0), (0.0, drift_m**-2, 0.0), (0.0, 0.0, drift_rad**-2)))
     total = np.zeros(3)  # moved so far: x, y, yaw
     spread = SIGMA_M + SIGMA_PER_M * _lengths(seen_xy_m)
     for _ in range(2):

@@ -112,7 +112,8 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     if len(way) < 3:
         return none
     path = resampled(way, settings.path_step_m)
-    vote = np.where((along > -2.0) & (along < VOTE_M), sides * np.minimum(np.maximum(1.2 - along / VOTE_M, 0.2), 1.0), 0.0)
+    sureness = np.minimum(np.maximum(1.2 - along / VOTE_M, 0.2), 1.0)
+    vote = np.where((along > -2.0) & (along < VOTE_M), sides * sureness, 0.0)
     supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
     beside = (along > 0.0) & (along <= end_m)
     confidence, note = _doubts(sides[beside], cones.side[beside], margin)
@@ -300,12 +301,14 @@ def _search(
         local = seen.reshape(3, -1).take(near, axis=1)
         at_ends = fan.into_ends.dot(local).ravel()
         behind = (at_ends[: n_bends * len(near)] < 0.0).nonzero()[0]
-        its_bend, row = np.divmod(behind, len(near))
+        its_bend = behind // len(near)
+        row = behind - len(near) * its_bend
         u0, v0 = local[0].take(row), local[1].take(row)
         u1, v1 = at_ends.take(behind), at_ends[n_bends * len(near) :].take(behind)
         place = near.take(row)
         pair = place * n_bends + its_bend  # of cone and arc
-        cone, arc = np.divmod(pair, n_arcs)
+        cone = pair // n_arcs
+        arc = pair - n_arcs * cone
         share = u0 / (u0 - u1)
         lateral = v0 + share * (v1 - v0 - fan.sag.take(its_bend) * (1.0 - share))
 
@@ -400,7 +403,7 @@ def _to_middle(seen: Floats, bend: Floats, nearest: Floats) -> Floats:
     """(P,) how far to the left of each pose, which turns with `bend`, the middle between its nearest cones left and
     right is; 0 where there are not both.
 
-    seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) from where on each is one of the left, of the right.
+    seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) how near each may be, to the left, to the right.
     """
     n_cones, n_poses = seen.shape[1:]
     place = (np.abs(seen[0]) < 3.0).ravel().nonzero()[0]
@@ -425,9 +428,7 @@ def _behind(curvature_1pm: float, settings: PlannerSettings) -> Floats:
     return np.stack((s * np.cos(turn), s * np.sin(turn)), axis=-1)
 
 
-def _placed(
-    line: Floats, stations: Floats, xy: Floats, cos: Floats, sin: Floats
-) -> tuple[Floats, Floats, Floats]:
+def _placed(line: Floats, stations: Floats, xy: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats, Floats]:
     """(N,) how far along the line each cone is, how far to its left, and how far off the place beside it, m."""
     dx, dy = xy[:, None, 0] - line[None, :, 0], xy[:, None, 1] - line[None, :, 1]
     nearest = (dx * dx + dy * dy).argmin(axis=1)

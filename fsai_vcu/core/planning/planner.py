@@ -20,7 +20,6 @@ from fsai_vcu.core.vehicle.odometry import motion_at
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
-
 COURSE_FIELDS = tuple(field.name for field in fields(Course))
 
 
