@@ -127,7 +127,7 @@ class ConeMemory:
             angle = aside(here)
             perhaps = (reach < self.view_m) & (angle < self._view_rad)
             misses += ~seen * np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
-            self.total += np.count_nonzero((hits >= settings.hits_to_believe) & ~before)
+            self.total += int(np.count_nonzero((hits >= settings.hits_to_believe) & ~before))
             keep = (
                 (here[:, 0] > -settings.behind_m)
                 & (reach < 3.0 * settings.range_max_m)

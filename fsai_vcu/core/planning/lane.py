@@ -185,8 +185,8 @@ def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
 
 def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
     """Confidence (0…1) and a note about a lane with cones that stand beside it so, but should by what is known."""
-    left, right = np.count_nonzero(stands > 0), np.count_nonzero(stands < 0)
-    contrary = np.count_nonzero(stands * side < -0.3)
+    left, right = int(np.count_nonzero(stands > 0)), int(np.count_nonzero(stands < 0))
+    contrary = int(np.count_nonzero(stands * side < -0.3))
     sure = 1.0 - math.exp(-margin / MARGIN)
     confidence = sure * (1.0 - contrary / max(1, left + right)) * (1.0 if left and right else ONE_BORDER)
     notes = []
