@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.laps import LapCounter, LapState, advance_laps, gate_seen, staged
+from fsai_vcu.core.missions.laps import Circling, LapCounter, LapState, advance_laps, gate_seen, staged
 
 LAP_MIN_M = 20.0
 RADIUS_M = 20.0
@@ -129,3 +129,24 @@ def test_a_lap_counter_counts_from_the_staging_place() -> None:
         laps.append(counter.laps(Motion(x_m=x_m, y_m=y_m, yaw_rad=angle, distance_m=distance_m)))
     assert laps == sorted(laps) and laps[-1] == 3
     assert laps.index(1) * 0.25 == pytest.approx(lap_m + 8.17, abs=1.0)
+
+
+def test_the_way_driven_is_none_of_just_now_or_the_laps_end() -> None:
+    circle, state = Circling(), staged(Motion(), 8.0)
+    for x_m in range(101):
+        here = Motion(x_m=float(x_m), distance_m=float(x_m))
+        circle.length_m(state, here)
+    every = [x_m for x_m, _ in circle.driven(here, 1000.0, 1000.0)]
+    assert (min(every), max(every)) == (30.0, 88.0)
+    assert min(circle.driven(here, 20.0, 1000.0)) == (82.0, 0.0)
+    assert min(circle.driven(here, 1000.0, 60.0)) == (40.0, 0.0)
+
+
+def test_a_car_that_drives_its_way_again_is_not_kept_from_it() -> None:
+    circle, state = Circling(), staged(Motion(), 8.0)
+    for way_m in range(150):  # a circle of 126 m
+        angle = way_m / RADIUS_M
+        x_m, y_m = RADIUS_M * math.sin(angle), RADIUS_M * (1.0 - math.cos(angle))
+        here = Motion(x_m=x_m, y_m=y_m, yaw_rad=angle, distance_m=float(way_m))
+        circle.length_m(state, here)
+    assert circle.driven(here, 1000.0, 1000.0) == []

@@ -291,3 +291,16 @@ def test_a_fork_is_doubted() -> None:
 def test_without_a_lane_the_note_says_why(count: int, note: str) -> None:
     lane = find_lane(cones_of([(-5.0 - i, 1.5) for i in range(count)], [0.0] * count), Known(0.0, HALF), 0.0, SETTINGS)
     assert (lane.note, lane.confidence, lane.supported_m, len(lane.path_m)) == (note, 0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize("open_to", [1.0, -1.0])
+def test_no_lane_leads_onto_the_way_driven(open_to: float) -> None:
+    """Two lanes that part to left and right, each the other's image: the car has come from one of them."""
+    bend = [arc_point(s, 8.0, offset) for offset in (HALF, -HALF) for s in (2.0, 5.0, 8.0, 11.0)]
+    left = [(x + 4.0, y + 0.2) for x, y in bend if y > 0.2]
+    rows = [(x, y) for x in (-4.0, -1.0, 2.0) for y in (HALF, -HALF)]
+    cones = cones_of(rows + left + [(x, -y) for x, y in left], [0.0] * (len(rows) + 2 * len(left)))
+    driven = np.array([arc_point(s, 8.0, 0.0) for s in np.arange(6.0, 14.0, 2.0)]) + np.array((4.0, 0.0))
+    known = Known(0.0, HALF, driven_m=driven * (1.0, -open_to))
+    path = find_lane(cones, known, 0.0, SETTINGS).path_m
+    assert open_to * path[path[:, 0] > 8.0][0, 1] > 0.2

@@ -22,6 +22,8 @@ GATE_SHIFT_M = 3.0  # how far the middle of a gate may move from one sighting to
 DRIFT_MAX = 0.08  # … and by how much more of the way driven meanwhile
 AGAIN_STEP_M, AGAIN_M, AGAIN_COS = 1.0, 1.2, 0.9  # so near its earlier way, the car drives it again …
 CIRCLE_MIN_M = 10.0  # … if that was longer ago than this
+DRIVEN_EVERY = 2  # of the places kept of the way driven
+LAP_END_M = 30.0  # beyond the line, which may be in sight from before it
 SIGHTED_M = 10.0  # of way in which a gate passed was seen right before
 
 
@@ -137,6 +139,24 @@ class Circling:
         self._again_m = self._again_m + AGAIN_STEP_M if found else 0.0
         # A line that lies further on than it did, by odometry, lets the car drive as much of its way again.
         return found[-1] if found and self._again_m > GATE_SHIFT_M + DRIFT_MAX * found[-1] else None
+
+    def driven(self, motion: Motion, within_m: float, lately_m: float) -> list[tuple[float, float]]:
+        """Places (odometry frame) within reach of the car that its way on does not come to: it has just been there.
+
+        `lately_m`: of way, for which odometry holds. Not the way of this moment, nor that behind the line, where the
+        lap ends; none where the car drives its way again.
+        """
+        if self._again_m > 0.0 or not self._way:
+            return []
+        first_m = max(self._way[0][0] + LAP_END_M, motion.distance_m - lately_m)
+        places: list[tuple[float, float]] = []
+        for at_m, x_m, y_m, _ in self._way[::-DRIVEN_EVERY]:
+            if at_m < first_m:
+                break
+            near = math.hypot(x_m - motion.x_m, y_m - motion.y_m) < within_m
+            if near and at_m < motion.distance_m - CIRCLE_MIN_M:
+                places.append((x_m, y_m))
+        return places
 
 
 class LapCounter:

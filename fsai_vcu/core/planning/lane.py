@@ -36,6 +36,7 @@ COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cone
 BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
+DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
@@ -75,12 +76,13 @@ class Known:
 
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
     stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
-    still agree with is not searched again."""
+    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been."""
 
     curvature_1pm: float
     half_width_m: float
     view_m: float = 0.0
     middle_m: Floats | None = None
+    driven_m: Floats | None = None
 
 
 def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettings) -> Lane:
@@ -98,7 +100,7 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
         begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count, dtype=bool))
-    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], known.view_m, settings)
+    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], known, settings)
     line = resampled(np.concatenate((begun, line)), settings.path_step_m)
     for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
@@ -256,7 +258,7 @@ def _fan(settings: PlannerSettings) -> _Fan:
 
 
 def _search(
-    xy: Floats, side: Floats, begin: _Begin, counted: Bools, view_m: float, settings: PlannerSettings
+    xy: Floats, side: Floats, begin: _Begin, counted: Bools, known: Known, settings: PlannerSettings
 ) -> tuple[Floats, float]:
     """The best chain of arcs from where it begins, as (M, 2) points every quarter of a step; and by how much the best
     chain that leads elsewhere costs more.
@@ -270,7 +272,7 @@ def _search(
     reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
-    unseen_m = max(reach_m, view_m)
+    unseen_m = max(reach_m, known.view_m)
     beside_m = step + OUTSIDE_M  # cones further to a pose's front or side are beside none of its arcs
 
     # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
@@ -324,7 +326,11 @@ def _search(
         cost = ends[:, COST] + np.bincount(arc, charge, n_arcs) + fan.bending_cost.take(bend, axis=0).ravel()
         unseen = np.hypot(ends[:, X], ends[:, Y]) > unseen_m
         empty = np.bincount(arc, as_border, n_arcs) < BORDER_MIN
-        ends[:, COST] = cost = cost + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
+        cost = cost + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
+        if known.driven_m is not None:
+            dx, dy = ends[:, X, None] - known.driven_m[:, 0], ends[:, Y, None] - known.driven_m[:, 1]
+            cost += COST_DRIVEN * (np.minimum.reduce(dx * dx + dy * dy, axis=1) < DRIVEN_M**2)
+        ends[:, COST] = cost
 
         # Keep the best; of chains that end at about the same pose only the best one.
         order = cost.argsort(kind="stable")[: BEST * settings.beam]

@@ -89,7 +89,9 @@ class LapStrategy:
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
         if middle is None and self._kept_confidence > SURE:
             middle = to_vehicle(motion, self._middle)
-        known = Known(curvature, self._half_width_m, memory.view_m, middle)
+        driven = self._circling.driven(motion, self._settings.horizon_m, self._settings.age_m)
+        driven_xy_m = to_vehicle(motion, np.array(driven)) if driven else None
+        known = Known(curvature, self._half_width_m, memory.view_m, middle, driven_xy_m)
         lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
