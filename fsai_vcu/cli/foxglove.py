@@ -71,10 +71,10 @@ def run(args: argparse.Namespace) -> int:
     except (OSError, RuntimeError) as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error}") from error
     how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
-    print(f"ws://{args.host}:{server.port} shows {sources.name}, {how_long}", flush=True)
     ended: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
     try:
+        print(f"ws://{args.host}:{server.port} shows {sources.name}, {how_long}", flush=True)
         for frames in chunks if sources.live else _as_recorded(chunks, ended):
             if ended:
                 break

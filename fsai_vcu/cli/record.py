@@ -9,14 +9,13 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.cli.ending import ending
 from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.export.writing import check_format
@@ -32,7 +31,6 @@ EXAMPLE = (
     "  fsai-vcu record -i vcan0 -o run.log --seconds 60"
 )
 _LOOK_S: Final = 0.1
-_INSISTS_S: Final = 1.0
 _TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a second is ever not on it
 _BOUNDS: Final = {  # of a folder: default, metavar, help
     "segment_size": ("64M", "SIZE", "begin a new segment at this size"),
@@ -88,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     topics = _topics(args)
     listener = Listener(args.interface, waits=True)
     listener.start()
-    with closing(listener), _ending() as ending:  # before there is a file: who sees one may ask for the end
+    with closing(listener), ending() as asked:  # before there is a file: who sees one may ask for the end
         try:
             place = SegmentFolder(args.output, listener.name, bounds)
             now_ns = time.monotonic_ns()
@@ -100,20 +98,20 @@ def run(args: argparse.Namespace) -> int:
         if topics is not None:
             topics.start()
         until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
-        _record(listener, topics, recording, until_ns, ending)
+        _record(listener, topics, recording, until_ns, asked)
     if topics is not None:
         topics.stop()
     _take(listener, topics, recording)
     recording.close(time.monotonic_ns())
     half = topics is not None and topics.error is not None
-    return _result(args, listener, recording, place, stopped=signal.SIGTERM in ending) or int(half)
+    return _result(args, listener, recording, place, stopped=signal.SIGTERM in asked) or int(half)
 
 
-def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, ending: list[int]) -> None:
+def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, asked: list[int]) -> None:
     """Until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
     told = 0  # of the frames that were lost
-    while not ending and time.monotonic_ns() < until_ns:
+    while not asked and time.monotonic_ns() < until_ns:
         time.sleep(_LOOK_S)
         now_ns = time.monotonic_ns()
         for news in [*listener.news(), *(topics.news() if topics is not None else ())]:
@@ -133,27 +131,6 @@ def _take(listener: Listener, topics: Any | None, recording: Recording) -> None:
     recording.dropped = listener.dropped
     if topics is not None:
         recording.take_messages(topics.fetch())
-
-
-@contextmanager
-def _ending() -> Iterator[list[int]]:
-    """A list that gets the signal that asks for the end. A later one interrupts whatever is being done."""
-    asked: list[int] = []
-    insists_s = float("inf")
-
-    def ask(number: int, _frame: FrameType | None) -> None:
-        nonlocal insists_s
-        if time.monotonic() > insists_s:
-            raise KeyboardInterrupt
-        insists_s = min(insists_s, time.monotonic() + _INSISTS_S)  # Ctrl-C may come twice: from a shell and its script
-        asked.append(number)
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _result(

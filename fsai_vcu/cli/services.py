@@ -103,6 +103,9 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
     Raises UserError when no bridge offers it, or none answers in time.
     """
     check_numbers(args, wait=0.0)
+    # Loaded before the node is seen: Python itself ends a program by SIGINT that is interrupted while it makes a class.
+    from fsai_vcu.runtime.loop_handle import NO_ANSWER
+
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.srv import SetMode
@@ -114,9 +117,16 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
         begin_s = time.monotonic()  # from here on: on a busy machine rclpy takes seconds to load
         asked: list[Any] = []
         told_s = ask_s = 0.0
-        while (answer := next((each.result() for each in asked if each.done()), None)) is None:
+        while True:
+            answers = [each.result() for each in asked if each.done()]
             waited_s = time.monotonic() - begin_s
-            if args.wait is not None and waited_s >= args.wait:
+            over = args.wait is not None and waited_s >= args.wait
+            # The loop brakes however late it takes the request: that it did so, the next answer says.
+            final = [each for each in answers if service != "emergency_brake" or each.message != NO_ANSWER]
+            if final or (answers and over):
+                answer = (final or answers)[0]
+                break
+            if over:
                 if asked:
                     raise UserError(
                         f"the bridge offers {name}, but did not answer within {args.wait:g} s; does it hang?"
@@ -125,6 +135,7 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
             if args.wait is None and waited_s >= told_s + _STILL_ASKING_S:
                 told_s = waited_s
                 what = f"{name} is offered, but not answered" if asked else f"no bridge offers {name}"
+                what = f"{name}: {NO_ANSWER}" if answers else what
                 print(
                     f"{what} (for {waited_s:.0f} s); press the remote's E-stop. Still asking; Ctrl-C ends it",
                     file=sys.stderr,

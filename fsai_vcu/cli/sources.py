@@ -9,11 +9,12 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from fsai_vcu.cli.ending import ending
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.lines import LineWriter
@@ -363,15 +364,16 @@ class Sources:
         from fsai_vcu.diagnostics.log.live import LiveSource
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-        source = LiveSource([name for name, _ in self._rules], waits=waits)
-        self._lost = lambda: source.dropped
-        self.heard_ns = lambda: source.heard_ns
+        # Where nothing is shown before the end, all of it is, whenever that is asked for.
+        how_it_ends: AbstractContextManager[list[int]] = ending() if announced else nullcontext([])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
-        with closing(source):
+        with how_it_ends as asked, closing(LiveSource([name for name, _ in self._rules], waits=waits)) as source:
+            self._lost = lambda: source.dropped
+            self.heard_ns = lambda: source.heard_ns
             if announced and seconds is None:
                 self._say(f"listening to {self.name} until Ctrl-C")
             try:
-                for frames in source.chunks(seconds):
+                for frames in source.chunks(seconds, asked):
                     for text in source.news():
                         self._say(text)
                     if self._decoding is not None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache, lru_cache
 from numbers import Real
-from operator import attrgetter, call, itemgetter, truediv
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
@@ -359,17 +359,14 @@ class _Layout:
         narrow = {name: slot for name, slot in self.slots.items() if _is_narrow(slot)}
         wide = sorted(self.slots.keys() - narrow.keys(), key=lambda name: -self.slots[name].start)
         others = [name for name in self.names if name not in wide]
-        found = [*others, *wide]
-        arrange = None if found == self.names else itemgetter(*(found.index(name) for name in self.names))
+        known: dict[str, Any] = {}
+        read = {name: _number(self.slots[name], name, known) for name in wide}
+        row = ", ".join(read.get(name, name) for name in self.names)
+        arrange: Callable[..., list[Any]] = eval(f"lambda {', '.join([*others, *wide])}: [{row}]", known)
         mask = sum(slot.mask << slot.start for slot in narrow.values())
         unpack = bitstruct.compile(_from_the_end([self.slots[name] for name in wide], self.message.length)).unpack
-        converters = tuple(_converter(self.slots[name]) for name in wide)
-        as_read = all(converter in (int, float) for converter in converters)
-        # Where every number is divided alone, no converter need be called.
-        divisors = tuple(_divisor(self.slots[name]) for name in wide)
-        divided = None not in divisors and not as_read
         any_float = any(slot.is_float for slot in self.slots.values())
-        kind, careful, is_status, length = self.kind, self.careful_decode, self.kind is VcuStatus, self.message.length
+        of, careful, is_status, length = self.kind.of, self.careful_decode, self.kind is VcuStatus, self.message.length
 
         @lru_cache(maxsize=_COMBINATIONS)
         def read_narrow(word: int) -> tuple[Any, ...]:
@@ -381,7 +378,7 @@ class _Layout:
             grouped = self.in_groups(values)
             return tuple(grouped[name] for name in others)
 
-        latest: tuple[bytes | None, tuple[Any, ...]] = (None, ())  # most payloads of a bus repeat the one before
+        latest: tuple[bytes | None, list[Any]] = (None, [])  # most payloads of a bus repeat the one before
         answered: tuple[Frame | None, Decoded] = (None, _NOTHING)  # a frame has several receivers: bridge and checker
 
         def decode(frame: Frame) -> Decoded:
@@ -392,32 +389,26 @@ class _Layout:
             known, values = latest
             data = frame.data
             if data != known:
-                read = read_all(data) if len(data) == length else None
-                if read is None:
+                found = read_all(data) if len(data) == length else None
+                if found is None:
                     return careful(frame)
-                latest, values = (data, read), read
-            image: Any = kind(*values, frame.t_ns)
+                latest, values = (data, found), found
+            image: Any = of((*values, frame.t_ns))
             decoded = _new(Decoded, (image, (), image.handshake if is_status else None))
             answered = frame, decoded
             return decoded
 
-        def read_all(data: bytes) -> tuple[Any, ...] | None:
+        def read_all(data: bytes) -> list[Any] | None:
             """The values of the class's fields; None where something is wrong."""
-            values: tuple[Any, ...] = ()
-            if wide:
-                values = unpack(data[::-1])
-                if divided:
-                    values = tuple(map(truediv, values, divisors))
-                elif not as_read:
-                    values = tuple(map(call, converters, values))
-                if any_float and not math.isfinite(sum(values)):
-                    return None
-            if others:
-                try:
-                    values = read_narrow(int.from_bytes(data, "little") & mask) + values
-                except ValueError:
-                    return None
-            return values if arrange is None else arrange(values)
+            values = unpack(data[::-1]) if wide else ()
+            if any_float and not math.isfinite(sum(values)):
+                return None
+            if not others:
+                return arrange(*values)
+            try:
+                return arrange(*read_narrow(int.from_bytes(data, "little") & mask), *values)
+            except ValueError:
+                return None
 
         return decode
 
@@ -429,7 +420,7 @@ class _Layout:
 
         if not self.simple or not self.slots:
             return careful
-        known: dict[str, Any] = {"careful": careful, "Frame": Frame, "can_id": self.message.frame_id}
+        known: dict[str, Any] = {"careful": careful, "make": Frame.of, "can_id": self.message.frame_id}
         written = [_written(slot, number, known) for number, slot in enumerate(self.slots.values())]
         ranged = [number for number in range(len(written)) if f"low{number}" in known]
         ranges = " and ".join(f"low{number} <= v{number} <= high{number}" for number in ranged)
@@ -439,7 +430,8 @@ class _Layout:
             " try:",
             *(f"  v{number} = source.{attribute}" for number, attribute in enumerate(attributes)),
             f"  if {ranges or True}:",
-            f"   return Frame(can_id, ({' + '.join(written)}).to_bytes({self.message.length}, 'little'), t_ns)",
+            f"   data = ({' + '.join(written)}).to_bytes({self.message.length}, 'little')",
+            "   return make((can_id, data, t_ns, False, False, False))",
             " except (KeyError, ValueError, TypeError, AttributeError, OverflowError):",
             "  pass",
             " return careful(source, t_ns)",
@@ -462,18 +454,15 @@ def _from_the_end(slots: Sequence[_Slot], length: int) -> str:
     return "".join([*formats, f"p{end}"]).replace("p0", "")
 
 
-def _converter(slot: _Slot) -> Callable[[Any], float]:
-    """The field's number of a finite raw one, as `_Slot.number` has it, without a call of Python's where that does."""
-    holds, scale, per_unit = slot.field.holds, slot.signal.scale, slot.per_unit
+def _number(slot: _Slot, raw: str, known: dict[str, Any]) -> str:
+    """An expression of the field's number of a finite raw one, as `_Slot.number` has it; `known`: of a name in it."""
+    holds, scale = slot.field.holds, slot.signal.scale
     if slot.signal.offset or (holds is int and scale != 1):
-        return slot.number
+        known[f"number_of_{raw}"] = slot.number
+        return f"number_of_{raw}({raw})"
     if scale == 1:
-        return holds
-    return scale.__mul__ if per_unit is None else per_unit.__rtruediv__
-
-
-def _divisor(slot: _Slot) -> int | None:
-    return None if slot.field.holds is int or slot.signal.offset else slot.per_unit
+        return raw if holds is int or slot.is_float else f"float({raw})"
+    return f"{raw} * {scale!r}" if slot.per_unit is None else f"{raw} / {slot.per_unit!r}"
 
 
 def _written(slot: _Slot, number: int, known: dict[str, Any]) -> str:

@@ -171,8 +171,8 @@ class CanBus:
                     message.is_remote_frame,
                     message.is_error_frame,
                 )
-            left_s = until - time.monotonic()
-            if left_s <= 0.0:
+            left_s = max(0.0, until - time.monotonic())
+            if message is None and left_s == 0.0:
                 return None
 
     def fileno(self) -> int:

@@ -155,7 +155,7 @@ class BridgeLoop:
                     self._stop_number = message.number
                     self._begin_stop(now_ns)
                 case Ask():
-                    self._answer(message, now_ns)
+                    self._answer(message, time.monotonic_ns())  # what came before it may have taken its time
                 case _:
                     logger.error("unknown message of the edge: %r", message)
         if command is not None:

@@ -31,11 +31,13 @@ from fsai_vcu.runtime.link import (
 )
 
 REQUEST_TIMEOUT_S = 0.5  # the loop answers in its next turn; meanwhile the edge does nothing else
-_START_TIMEOUT_S = 30.0  # an interpreter's start on a slow processor
+_START_TIMEOUT_S = 60.0  # an interpreter's start on a slow processor
 _STOP_TIMEOUT_S = 10.0
 LOOP_SILENT_NS = 100_000_000  # a loop that reports nothing for so long is, to the edge, a car that is silent
+_NOT_READ_NS = 500_000_000  # an edge that did not read for so long finds a full link, with old reports in it
 
 _NOT_RUNNING = "the CAN loop does not run: nothing is sent"
+NO_ANSWER = "the CAN loop does not answer"
 
 
 class LoopError(Exception):
@@ -50,6 +52,7 @@ class LoopHandle:
         self._link = LinkEnd(end)
         self._process = process
         self._newest: LoopReport | None = None
+        self._read_ns = self._reads_since_ns = time.monotonic_ns()  # last; and since when it does so all the time
         self._number = 0  # of the last request
         self._awaited: int | None = None  # the request whose answer somebody waits for
         self._answer: Answer | None = None
@@ -143,7 +146,7 @@ class LoopHandle:
             return False, _NOT_RUNNING
         answer = self._answer_to(what, argument, REQUEST_TIMEOUT_S, better_late=better_late)
         if answer is None:
-            return False, "the CAN loop does not answer" if self._active else _NOT_RUNNING
+            return False, NO_ANSWER if self._active else _NOT_RUNNING
         return answer.accepted, answer.message
 
     def _answer_to(self, what: str, argument: object, timeout_s: float, *, better_late: bool = True) -> Answer | None:
@@ -179,8 +182,9 @@ class LoopHandle:
 
     @property
     def silent(self) -> bool:
-        """Whether the loop should report and does not."""
-        return self._active and time.monotonic_ns() - self.loop_report().bridge.t_ns >= LOOP_SILENT_NS
+        """Whether the loop should report and does not. An edge that was held up itself does not know it yet."""
+        reported_ns = self.loop_report().bridge.t_ns
+        return self._active and time.monotonic_ns() - max(reported_ns, self._reads_since_ns) >= LOOP_SILENT_NS
 
     def loop_report(self) -> LoopReport:
         """The newest report as it came, with what the loop knows of itself."""
@@ -189,6 +193,10 @@ class LoopHandle:
         return self._newest
 
     def _take(self) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns - self._read_ns >= _NOT_READ_NS:
+            self._reads_since_ns = now_ns
+        self._read_ns = now_ns
         for message in self._link.receive():
             match message:
                 case LoopReport():

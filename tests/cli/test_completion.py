@@ -18,7 +18,7 @@ from fsai_vcu.cli.main import all_verbs, main, parser_of
 from fsai_vcu.interface.enums import Ami
 
 MISSIONS = sorted(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
-WITHIN_S = 20.0
+WITHIN_S = 90.0
 
 
 def script(shell: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> Path:

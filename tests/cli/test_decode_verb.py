@@ -132,7 +132,7 @@ def test_each_line_of_a_pipe_is_shown_before_the_next_one() -> None:
         text=True,
     )
     assert process.stdin is not None and process.stdout is not None
-    giving_up = threading.Timer(60.0, process.kill)
+    giving_up = threading.Timer(180.0, process.kill)
     giving_up.start()
     try:
         for _ in range(3):

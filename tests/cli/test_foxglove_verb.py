@@ -31,10 +31,10 @@ SENT = (
 
 @pytest.mark.parametrize("live", [False, True])
 def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> None:
-    """Of half a minute of a log, played as fast as they were recorded, and of a bus that was silent at first."""
+    """Of two minutes of a log, played as fast as they were recorded, and of a bus that was silent at first."""
     websocket = pytest.importorskip("websocket", reason="websocket-client is not installed: it comes with selenium")
     path = tmp_path / "run.log"
-    lines = (f"({1000 + n / 100:.6f}) can0 {f.can_id:X}#{f.data.hex()}\n" for n in range(3_000) for f in SENT)
+    lines = (f"({1000 + n / 100:.6f}) can0 {f.can_id:X}#{f.data.hex()}\n" for n in range(12_000) for f in SENT)
     path.write_text("".join(lines))
     source = f"loopback:foxglove-{os.getpid()}" if live else str(path)
     command = [sys.executable, "-m", "fsai_vcu.cli.main", "foxglove", source, "--port", "0"]
@@ -43,7 +43,7 @@ def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> Non
             assert server.stdout is not None
             where = server.stdout.readline().split()[0]
             assert where.startswith("ws://127.0.0.1:")
-            client = websocket.create_connection(where, timeout=30, subprotocols=["foxglove.sdk.v1"])
+            client = websocket.create_connection(where, timeout=120, subprotocols=["foxglove.sdk.v1"])
             topics: dict[int, str] = {}
             said: dict[str, dict[str, object]] = {}
             while len(said) < 5:
@@ -61,7 +61,7 @@ def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> Non
             client.close()
         finally:
             server.send_signal(signal.SIGINT)
-        assert server.wait(30) == 0
+        assert server.wait(120) == 0
     assert said["/can/AI2VCU_Steer"] == {"STEER_REQUEST": 5.0}
     assert said["/can/VCU2AI_Status"]["AS_STATE"] == 3
     assert said["/can/state"]["AS_STATE"] == "AS_DRIVING" and said["/can/state"]["AMI_STATE"] == "ACCELERATION"
@@ -74,6 +74,13 @@ def test_a_part_of_a_log_is_played_from_its_begin_on(tmp_path: Path, capsys: pyt
     part = ["--from", "3600", "--messages", "AI2VCU_Steer"]
     assert main(["foxglove", str(path), "--port", "0", *part]) == 0, "not an hour later"
     assert capsys.readouterr().out.startswith("ws://127.0.0.1:")
+
+
+def test_ctrl_c_as_soon_as_it_is_there_ends_it_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("(1000.000000) can0 513#3200\n(4600.000000) can0 513#3200\n")
+    monkeypatch.setattr("builtins.print", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    assert main(["foxglove", str(path), "--port", "0"]) == 0
 
 
 @pytest.mark.parametrize(("text", "words"), [(None, "No such file or directory"), ("", "no frames in it")])

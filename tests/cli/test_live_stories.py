@@ -42,7 +42,7 @@ def test_ctrl_c_ends_the_listening_and_begins_the_story(car: None) -> None:
         assert process.stderr is not None
         said = process.stderr.readline()
         with open_bus(NAME) as bus:
-            assert all(bus.recv(20.0) is not None for _ in range(20))
+            assert all(bus.recv(60.0) is not None for _ in range(20))
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60.0)
     assert said == f"fsai-vcu explain: listening to {NAME} until Ctrl-C\n" and err == ""

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
 LOG = """\
@@ -39,14 +40,15 @@ def bus() -> Iterator[CanBus]:
 
 def received(bus: CanBus, count: int) -> list[str]:
     """The next frames on the bus, and that none follows."""
-    frames = [bus.recv(20.0) for _ in range(count)]
+    frames = [bus.recv(60.0) for _ in range(count)]
     assert bus.recv(0.05) is None
     return [str(frame) for frame in frames]
 
 
 def test_the_cars_frames_are_sent_and_the_rest_is_reported(
-    log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
+    log: str, bus: CanBus, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("fsai_vcu.cli.replay._LATE_NS", 60 * S)  # how late the machine was is not of interest
     assert main(["replay", log, "-i", BUS]) == 0
     gps = "621#01"
     assert received(bus, 4) == ["520#0000030000000000", "523#640064006400", gps, "520#0000030000000000"]
@@ -68,11 +70,12 @@ def test_a_part_filtered_and_looped(log: str, bus: CanBus) -> None:
 def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
     argv = [sys.executable, "-m", "fsai_vcu.cli.main", "replay", log, "-i", BUS, "--loop"]
     process = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True)
-    assert all(bus.recv(20.0) is not None for _ in range(10))
+    assert all(bus.recv(60.0) is not None for _ in range(10))
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=60.0)[1]
     assert process.returncode == 0
-    assert said.splitlines()[-1].endswith(" frames sent")
+    lines = [line for line in said.splitlines() if not line.endswith("ms late")]
+    assert lines[-1].endswith(" frames sent")
 
 
 def test_a_broken_log_is_sent_up_to_the_break_and_fails(

@@ -597,7 +597,7 @@ def test_a_gate_that_sends_zeros_settles_in_one_state() -> None:
     assert len(states) == 2
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.lists(
         st.tuples(
@@ -665,7 +665,7 @@ def test_the_official_simulator_gets_no_hydraulic_brake() -> None:
 # ---------------------------------------------------------------- anything at all
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(
     phase=st.sampled_from(list(Phase)),
     steer=st.sampled_from(list(Steer)),

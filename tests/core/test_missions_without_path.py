@@ -145,7 +145,7 @@ def test_the_slowest_driven_wheel_counts_but_for_a_differential() -> None:
     assert driven_rpm(ADS_DV_2021, (100.0, 210.0, 190.0, 200.0)) == pytest.approx(157.5)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     mission=st.sampled_from([Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO]),
     car=st.sampled_from(sorted(CARS)),

@@ -218,6 +218,18 @@ def test_only_a_staged_cars_lane_may_begin_far_ahead(places: tuple[float, ...], 
         assert lane.supported_m == pytest.approx(supported_m, abs=SETTINGS.path_step_m)
 
 
+@pytest.mark.parametrize("aside_m", (0.0, 0.3))
+def test_a_staged_car_drives_into_its_lane_from_where_it_is(aside_m: float) -> None:
+    """However long it has stood there, look after look."""
+    places = [(x, side * 1.6 + aside_m) for x in (5.0, 7.8, 8.6, 12.0, 15.0) for side in (1.0, -1.0)]
+    cones = cones_of(places, [1.0, -1.0] * 5)
+    lane = find_lane(cones, Known(0.0, 1.5), 0.0, SETTINGS)
+    for _ in range(60):
+        lane = find_lane(cones, Known(0.0, 1.5, middle_m=lane.middle_m), 0.0, SETTINGS)
+    near, far = lane.path_m[0], lane.path_m[lane.path_m[:, 0] > 8.0]
+    assert abs(near[1]) < 0.05 and np.abs(far[:, 1] - aside_m).max() < 0.1
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_without_cones_there_is_no_path(count: int) -> None:
     lane = find_lane(cones_of([(5.0, 1.5)] * count, [0.0] * count), Known(0.0, HALF), 0.0, SETTINGS)

@@ -14,8 +14,8 @@ from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import Track, random_circuit
 from fsai_hil.simulator.tracks.built_in import circuit_from
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.planning.cone_map import ConeMap, fit_of, located
+from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.planning.cone_map import SHARED_M, ConeMap, fit_of, located
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 CIRCUIT = random_circuit(1)
@@ -79,13 +79,16 @@ def test_a_map_closed_after_two_laps_has_both_borders() -> None:
     assert len(ride.map.take()) == pytest.approx(len(CIRCUIT.cones_xy_m), abs=8)
 
 
-def two_straights() -> Mapping:
-    """The map of a lap of two straights side by side, 10 m apart, closed on the first one."""
+def two_straights(*extra_m: tuple[float, float]) -> Mapping:
+    """The map of a lap of two straights side by side, 10 m apart, closed on the first one. extra_m: further cones."""
     turn = np.linspace(-0.5, 0.5, 24, endpoint=False) * math.pi
     end = np.column_stack((25.0 + 5.0 * np.cos(turn), 5.0 + 5.0 * np.sin(turn)))
     along = np.column_stack((np.linspace(-25.0, 25.0, 50, endpoint=False), np.zeros(50)))
     half = np.concatenate((along, end))
-    ride = Mapping(circuit_from("two straights", np.concatenate((half, (0.0, 10.0) - half)), 25.0, 3.5))
+    track = circuit_from("two straights", np.concatenate((half, (0.0, 10.0) - half)), 25.0, 3.5)
+    colors = np.append(track.cone_colors, [ConeColor.UNKNOWN] * len(extra_m))
+    cones = np.vstack((track.cones_xy_m, *extra_m))
+    ride = Mapping(replace(track, cones_xy_m=cones, cone_colors=colors))
     ride.drive(ride.track.length_m + 26.0)
     begun_m, ended_m = ride.line_at_m
     assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))
@@ -109,6 +112,18 @@ def test_another_part_of_the_lap_puts_no_cones_into_the_map() -> None:
     there = ride.truth(cones[second])
     near = [np.hypot(*(xy[:, None] - there).transpose(2, 0, 1)).min(axis=1) < 2.0 for xy in (known, ride.map.take())]
     assert near[0].sum() == near[1].sum() and ride.map.fit > 0.8
+
+
+def test_a_cone_across_the_border_of_two_parts_is_kept_once() -> None:
+    border_m = 5.0 + SHARED_M / 2.0  # up to where a cone counts to the first straight
+    ride = two_straights((0.0, border_m + 0.15))
+    ride.drive(ride.track.length_m - 28.0)
+    moved = ride.track.cones_xy_m.copy()
+    moved[-1, 1] = border_m - 0.15  # as it is seen with some noise
+    ride.sensor = ConeSensor(replace(ride.track, cones_xy_m=moved))
+    ride.drive(15.0)
+    there = ride.truth(moved[-1:])
+    assert (np.hypot(*(ride.map.take() - there).T) < 1.0).sum() == 1
 
 
 def test_cones_of_another_place_close_no_map() -> None:

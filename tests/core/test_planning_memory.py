@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
-from fsai_vcu.core.planning.cone_memory import ConeMemory, believable, by_chain
+from fsai_vcu.core.planning.cone_memory import SURE_SIDE, ConeMemory, believable, by_chain, carried_on, rows_of
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 SETTINGS = PlannerSettings()
@@ -161,7 +161,7 @@ def test_a_border_of_the_other_colour_outvotes_a_colour(wrong: int, step_m: floa
     seen[wrong] *= -1.0
     expected = sides(1.0, -1.0)
     expected[wrong] = 0.0
-    assert list(by_chain(rows(1.6, -1.6, step_m=step_m), seen)) == list(expected)
+    assert list(by_chain(seen, rows_of(rows(1.6, -1.6, step_m=step_m)))) == list(expected)
 
 
 @pytest.mark.parametrize("wrong", range(6))
@@ -170,7 +170,7 @@ def test_a_border_of_the_other_colour_outvotes_a_colour(wrong: int, step_m: floa
 def test_two_wrong_colours_in_a_row_are_outvoted(wrong: int, across_m: float, step_m: float) -> None:
     seen = sides(1.0, -1.0)
     seen[wrong : wrong + 2] *= -1.0
-    side = by_chain(rows(0.5 * across_m, -0.5 * across_m, step_m=step_m), seen)
+    side = by_chain(seen, rows_of(rows(0.5 * across_m, -0.5 * across_m, step_m=step_m)))
     assert all(side * sides(1.0, -1.0) >= 0.0) and sum(side == 0.0) <= 3  # a cone at a row's end may have none
 
 
@@ -178,7 +178,7 @@ def test_two_wrong_colours_in_a_row_are_outvoted(wrong: int, across_m: float, st
 @pytest.mark.parametrize("next_lane", ((1.0, -1.0), (-1.0, 1.0)))
 def test_lanes_beside_each_other_keep_their_colours(apart_m: float, next_lane: tuple[float, float]) -> None:
     xy, seen = rows(1.5, -1.5, -1.5 - apart_m, -4.5 - apart_m), sides(1.0, -1.0, *next_lane)
-    side = by_chain(xy, seen)
+    side = by_chain(seen, rows_of(xy))
     assert all(kept(*row) for row in zip(side.reshape(-1, 7), seen.reshape(-1, 7), strict=True))
 
 
@@ -187,5 +187,33 @@ def test_a_hairpins_borders_keep_their_colours(inside_m: float) -> None:
     arcs = [(radius, np.arange(0.0, np.pi, 2.0 / radius)) for radius in (inside_m, inside_m + 3.0)]
     xy = np.concatenate([radius * np.stack((np.sin(turn), -np.cos(turn)), axis=-1) for radius, turn in arcs])
     seen = np.repeat((1.0, -1.0), [len(turn) for _, turn in arcs])
-    side, inside = by_chain(xy, seen), len(arcs[0][1])
+    side, inside = by_chain(seen, rows_of(xy)), len(arcs[0][1])
     assert kept(side[:inside], seen[:inside]) and kept(side[inside:], seen[inside:])
+
+
+@pytest.mark.parametrize("apart_m", (1.5, 3.0))
+def test_cones_without_colour_carry_on_their_border(apart_m: float) -> None:
+    """Another lane beside one's own leads nobody through the gap in a border that goes straight on."""
+    seen = 0.6 * sides(1.0, -1.0, 0.0)
+    seen[[4, 5, 6, 11, 12, 13]] = 0.0
+    side = carried_on(seen, np.ones(len(seen), dtype=bool), rows_of(rows(1.5, -1.5, -1.5 - apart_m, step_m=4.0)))
+    assert side[4] > SURE_SIDE and side[11] < -SURE_SIDE
+    assert all(side[14:] <= 0.0)
+
+
+def test_an_outer_border_does_not_carry_on_the_inner_one() -> None:
+    """A sharp bend to the left: its outer border stands across the way, straight on from the inner border's end."""
+    xy = np.array([[-4.0, 1.5], [0.0, 1.5], [3.2, 0.4], [3.8, 1.6], [-4.0, -1.5], [0.0, -1.5]])
+    seen = np.array([0.6, 0.6, 0.0, 0.0, -0.6, -0.6])
+    colourless = np.ones(6, dtype=bool)
+    assert list(carried_on(seen, colourless, rows_of(xy))) == list(seen)
+    assert all(carried_on(seen[:4], colourless[:4], rows_of(xy[:4]))[2:] > SURE_SIDE)  # but for the outer border's end
+
+
+def test_a_colour_is_not_carried_over() -> None:
+    seen = 0.6 * sides(1.0, -1.0)
+    seen[4] = 0.0
+    colourless = np.arange(len(seen)) == 11  # on the other side
+    seen[11] = 0.0
+    side = carried_on(seen, colourless, rows_of(rows(1.5, -1.5, step_m=4.0)))
+    assert side[11] < -SURE_SIDE and list(np.delete(side, 11)) == list(np.delete(seen, 11))

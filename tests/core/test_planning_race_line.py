@@ -121,6 +121,24 @@ def test_a_cone_seen_on_the_line_outranks_the_map() -> None:
     assert not plans[-1].mapped and "cone" in plans[-1].note
 
 
+def test_a_car_that_races_goes_on_by_a_line_laid_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though the cones seen of late bear the map out less than they must where a car joins its first line."""
+    ride, _ = mapped()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+    assert all(ride.step().mapped for _ in range(20))
+    first, add = racing._line, racing._map.add
+
+    def half_sure(*seen: Any) -> Motion:
+        here: Motion = add(*seen)
+        racing._map.fit = 0.6
+        return here
+
+    monkeypatch.setattr(racing._map, "add", half_sure)
+    racing._map.changed = True
+    assert all(ride.step().mapped for _ in range(20)) and racing._line is not first
+
+
 def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     ride, _ = mapped()
     elsewhere = ride.motion

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,18 @@ import pytest
 
 pytest.importorskip("selenium", reason="selenium is not installed: pip install 'selenium>=4.20,<5'")
 
+from selenium.common.exceptions import WebDriverException
 from selenium.webdriver import Chrome, ChromeOptions
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.support.ui import WebDriverWait
 
 DRIVER, BROWSER = shutil.which("chromedriver"), shutil.which("chromium") or shutil.which("chromium-browser")
 needs_browser = pytest.mark.skipif(
     DRIVER is None or BROWSER is None, reason="no chromium here: apt-get install -y chromium chromium-driver"
 )
 
+WITHIN_S = 60.0
+STARTS = 3  # of a driver for which selenium, which waits half a minute, was too impatient, or whose port was taken
 FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -41,11 +45,23 @@ def started(profile: Path) -> Iterator[Chrome]:
     for flag in (*FLAGS, f"--user-data-dir={profile}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = Chrome(options=options, service=Service(str(DRIVER)))
+    driver = begun(options)
     try:
+        driver.set_script_timeout(WITHIN_S)
         yield driver
     finally:
         driver.quit()
+
+
+def begun(options: ChromeOptions) -> Chrome:
+    for _ in range(STARTS - 1):
+        with suppress(WebDriverException):
+            return Chrome(options=options, service=Service(str(DRIVER)))
+    return Chrome(options=options, service=Service(str(DRIVER)))
+
+
+def until(browser: Chrome, condition: Callable[[], object]) -> None:
+    WebDriverWait(browser, WITHIN_S, 0.05).until(lambda _: condition())
 
 
 def set_screen(browser: Chrome, width: int, height: int, *, mobile: bool, scheme: str) -> None:

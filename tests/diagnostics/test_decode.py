@@ -136,7 +136,7 @@ def plain_databases(draw: st.DrawFn) -> str:
 
 
 @given(plain_databases(), st.integers(0, 2**32))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_plain_database_is_decoded_as_cantools_decodes_it(text: str, seed: int) -> None:
     database = cantools.database.load_string(text, "dbc", strict=True)
     assert isinstance(database, Database)
@@ -252,7 +252,7 @@ def test_numbers_are_written_as_repr_writes_them() -> None:
 
 
 @given(st.lists(st.lists(st.text(st.characters(exclude_characters="\n\0", codec="utf-8"), max_size=40), min_size=6)))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_texts_of_any_lengths_stand_beside_each_other(rows: list[list[str]]) -> None:
     rows = [row[:6] for row in rows]
     parts = [part for column in range(6) for part in (texts_of([row[column] for row in rows]), b"," * (column // 2))]

@@ -9,6 +9,7 @@ import ipaddress
 import os
 import socket
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -302,6 +303,10 @@ def test_the_bridges_environment_goes_before_the_doctors(tmp_path: Path, monkeyp
     assert collect._implementation(tmp_path) == "rmw_of_the_shell"
 
 
+def ending(_folder: Path) -> Iterator[Path]:
+    raise ProcessLookupError
+
+
 @pytest.mark.parametrize(("locked_kib", "locked"), [(0, False), (81920, True)])
 def test_the_loops_most_urgent_thread_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locked_kib: int, locked: bool
@@ -317,6 +322,8 @@ def test_the_loops_most_urgent_thread_counts(
     )
     assert collect._scheduling(tmp_path) == Scheduling("SCHED_FIFO", 45, locked)
     assert collect._scheduling(tmp_path / "none") is None, "no loop runs"
+    monkeypatch.setattr(Path, "iterdir", ending)
+    assert collect._scheduling(tmp_path) is None, "it ends while it is looked at"
 
 
 def test_a_log_folder_of_another_group_is_named_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

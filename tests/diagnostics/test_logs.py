@@ -248,7 +248,6 @@ def test_each_manner_of_candump_is_understood(line: str, expected: LogFrame) -> 
     assert parse_line(line) == expected
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.builds(
@@ -285,7 +284,7 @@ def test_reading_many_lines_at_once_is_reading_each_line(
         ]
     ),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_fast_reader_reads_what_the_careful_one_reads(text: str, template: str) -> None:
     lines = template.format(text).encode("latin-1")
     frames, unreadable, _ = parse_block(np.frombuffer(lines, np.uint8), [])

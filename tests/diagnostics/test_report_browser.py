@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import heard, needs_browser, set_screen, started
+from browsing import heard, needs_browser, set_screen, started, until
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
-from selenium.webdriver.support.ui import WebDriverWait
 from story_runs import branch, driving, page
 
 from fsai_vcu.interface.enums import MissionStatus
@@ -64,7 +63,7 @@ def shown(browser: Chrome, html: Path) -> Callable[..., Chrome]:
         set_screen(browser, width, height, mobile=mobile, scheme=scheme)
         heard(browser, "browser"), heard(browser, "performance")
         browser.get(html.as_uri())
-        WebDriverWait(browser, 20).until(lambda b: b.find_element(By.ID, "range").text)
+        until(browser, lambda: browser.find_element(By.ID, "range").text)
         return browser
 
     return show
@@ -141,7 +140,7 @@ def test_a_time_in_the_story_leads_to_that_moment_in_the_plots(shown: Callable[.
     button = browser.find_element(By.CSS_SELECTOR, "article .time")
     t_s = float(button.get_attribute("data-t") or "nan")
     button.click()
-    WebDriverWait(browser, 10).until(lambda b: b.find_element(By.ID, "range").text != before)
+    until(browser, lambda: browser.find_element(By.ID, "range").text != before)
     shown_s = browser.find_element(By.ID, "range").text.split("s, ")[-1].removesuffix(" s").split(" to ")
     assert float(shown_s[0]) <= t_s <= float(shown_s[1]) <= float(shown_s[0]) + 2.0
     values = [key.text for key in browser.find_elements(By.CSS_SELECTOR, "#legend-speed b")]
@@ -155,9 +154,13 @@ def test_dragging_zooms_and_a_double_click_shows_all(shown: Callable[..., Chrome
     whole = browser.find_element(By.ID, "range").text.split("s, ")[-1]
     drag = ActionChains(browser).move_to_element_with_offset(canvas, -100, 0).click_and_hold()
     drag.move_by_offset(200, 0).release().perform()
-    WebDriverWait(browser, 10).until(lambda b: whole not in b.find_element(By.ID, "range").text)
-    ActionChains(browser).double_click(canvas).perform()
-    WebDriverWait(browser, 10).until(lambda b: whole in b.find_element(By.ID, "range").text)
+    until(browser, lambda: whole not in browser.find_element(By.ID, "range").text)
+
+    def all_again() -> bool:
+        ActionChains(browser).double_click(canvas).perform()  # two clicks of their own where the driver is held up
+        return whole in browser.find_element(By.ID, "range").text
+
+    until(browser, all_again)
 
 
 def test_plots_work_with_the_keyboard_and_have_text_alternatives(shown: Callable[..., Chrome]) -> None:
@@ -168,4 +171,4 @@ def test_plots_work_with_the_keyboard_and_have_text_alternatives(shown: Callable
     canvas = canvases(browser)[0]
     canvas.send_keys("+")
     canvas.send_keys("\ue014")  # arrow to the right
-    WebDriverWait(browser, 10).until(lambda b: b.find_element(By.ID, "range").text.startswith("at "))
+    until(browser, lambda: browser.find_element(By.ID, "range").text.startswith("at "))

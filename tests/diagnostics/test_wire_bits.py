@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
@@ -58,7 +58,6 @@ frames = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(st.lists(frames, min_size=1, max_size=20))
 def test_every_frame_is_as_long_as_its_bits_counted_singly(several: list[LogFrame]) -> None:
     assert wire_bits(frames_of(several)).tolist() == [counted(frame) for frame in several]

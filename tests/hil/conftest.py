@@ -24,7 +24,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 from undisturbed import Undisturbed
 
-LISTENS_S = 20.0
+LISTENS_S = 60.0
 SILENCE_S = 0.25  # over twenty cycles of one who sends every 10 ms, and two of the slowest message
 VERB = (sys.executable, "-m", "fsai_vcu.cli.main")
 FRAMES = (  # one of each kind
@@ -150,10 +150,17 @@ def stack(interface: str, results: Path, bus_log: BusWatch) -> Iterator[Stack]:
 
 def listening(interface: str, argv: Sequence[str], output: Path, errors: Path | None = None) -> RunningProcess:
     """A command that has begun to listen to the bus; what it prints is in `output`, its errors too or in `errors`."""
-    before = listeners(interface)
+    others = listeners(interface)
+
+    def one_more() -> bool:
+        nonlocal others
+        now = listeners(interface)
+        others = min(others, now)  # one of an earlier test may still have been going
+        return now > others
+
     with (errors or Path(os.devnull)).open("wb") as file:
         process = RunningProcess(argv[0], argv, output, os.environ, stderr=file if errors else subprocess.STDOUT)
-    await_condition(lambda: listeners(interface) > before, LISTENS_S, f"{argv} listens")
+    await_condition(one_more, LISTENS_S, f"{argv} listens")
     return process
 
 
@@ -161,7 +168,7 @@ def listening(interface: str, argv: Sequence[str], output: Path, errors: Path | 
 def verb() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs a verb of the command line to its end: `verb("mode", "autonomous")`."""
 
-    def run(*arguments: str, timeout_s: float = 30.0) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*VERB, *arguments], capture_output=True, text=True, timeout=timeout_s, check=False)
 
     return run

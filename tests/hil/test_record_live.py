@@ -12,7 +12,7 @@ from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
-WITHIN_S = 20.0
+WITHIN_S = 60.0
 _STAMP = re.compile(r"\(\d+\.\d+\) ")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import await_condition
 
-WITHIN_S = 20.0
+WITHIN_S = 60.0
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 BENCH = """\

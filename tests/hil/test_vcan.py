@@ -13,7 +13,7 @@ from conftest import ip
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 
-WITHIN_S = 5.0
+WITHIN_S = 60.0
 CLOCK_GETTIME = 228  # the system call, on x86-64
 
 

@@ -40,7 +40,7 @@ def expected(field: Field, value: Any) -> Any:
 
 
 @pytest.mark.parametrize(("codec", "kind"), CASES)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(content=st.data())
 def test_every_frame_decodes_as_cantools_decodes_it(codec: Codec, kind: type[Message], content: st.DataObject) -> None:
     message = codec.database.get_message_by_name(kind.dbc_name)
@@ -79,7 +79,7 @@ def in_range(codec: Codec, kind: type[Message], field: Field) -> st.SearchStrate
 
 
 @pytest.mark.parametrize(("codec", "kind"), CASES)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(content=st.data())
 def test_every_value_in_range_survives_the_wire(codec: Codec, kind: type[Message], content: st.DataObject) -> None:
     """To half a step; what has been on the wire once is exact from then on, and cantools writes the same bytes."""
@@ -121,7 +121,7 @@ COMMANDS = st.builds(
 
 
 @pytest.mark.parametrize("codec", CODECS.values(), ids=CODECS)
-@settings(max_examples=75, deadline=None)
+@settings(max_examples=75)
 @given(command=COMMANDS)
 def test_a_command_is_encoded_or_refused_as_its_messages_are(codec: Codec, command: AiCommand) -> None:
     def attempt(encode: Any) -> Any:
@@ -137,7 +137,7 @@ def test_a_command_is_encoded_or_refused_as_its_messages_are(codec: Codec, comma
     assert attempt(lambda: codec.encode_command(command)) == attempt(lambda: [codec.encode(one) for one in messages])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     frame=st.builds(
         Frame,

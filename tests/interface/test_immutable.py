@@ -47,6 +47,14 @@ class Checked(Immutable):
             raise ValueError("a share is 0 to 1")
 
 
+@pytest.mark.parametrize("made", [Frame(0x520, b"12", 3, error=True), Quick(1, third=(3,))], ids=str)
+def test_what_is_made_of_all_values_equals_the_constructors(made: Immutable) -> None:
+    again = type(made).of(tuple(getattr(made, one.name) for one in fields(made)))  # type: ignore[arg-type]
+    assert again == made and type(again) is type(made)
+    with pytest.raises(ValueError, match="unpack"):
+        type(made).of(())
+
+
 def test_a_copy_changes_the_named_fields_and_is_checked() -> None:
     value = Quick(1, third=(3,))
     assert quick_replace(value, second="x") == Quick(1, "x", (3,))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
-from ros_rig import STATUS, Driving, RosRig, ScriptedVcu, logged
+from ros_rig import PATIENCE_S, Driving, RosRig, ScriptedVcu, logged, while_driving
 from std_srvs.srv import Trigger
 
 from fsai_nodes import qos
@@ -50,7 +52,7 @@ def wait_for_car(rig: RosRig, states: list[VehicleState]) -> None:
     rig.spin_until(lambda: bool(states) and states[-1].as_state == VehicleState.AS_OFF, "AS_OFF in /vehicle_state")
 
 
-@pytest.mark.parametrize("ahead_s", [0, 6])
+@pytest.mark.parametrize("ahead_s", [0, 60])
 def test_a_command_that_is_none_is_refused_and_reported(rig: RosRig, bus: str, ahead_s: int) -> None:
     """One with a throttle that is no number; one stamped in the future."""
     log = rig.log()
@@ -59,8 +61,14 @@ def test_a_command_that_is_none_is_refused_and_reported(rig: RosRig, bus: str, a
     publisher = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
     rig.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(states), "the bridge listens")
     command = VehicleCommand(run_id=states[-1].run_id, throttle=0.0 if ahead_s else math.inf)
-    command.header.stamp = rig.stamp(age_ms=-1000.0 * ahead_s)
-    publisher.publish(command)
+
+    def taken() -> bool:
+        if node._sensor_ns is None:  # a command lives for 100 ms
+            command.header.stamp = rig.stamp(age_ms=-1000.0 * ahead_s)
+            publisher.publish(command)
+        return node._sensor_ns is not None
+
+    rig.spin_until(taken, "the bridge takes the command")
     words = "in the future" if ahead_s else "throttle"
 
     def reported() -> bool:
@@ -121,7 +129,7 @@ def test_commands_carry_the_run_and_the_stamp_of_their_data(rig: RosRig, bus: st
     )
     now_ns = rig.tester.get_clock().now().nanoseconds
     stamp = commands[-1].header.stamp
-    assert 0 <= now_ns - (stamp.sec * 10**9 + stamp.nanosec) < 5 * 10**9
+    assert 0 <= now_ns - (stamp.sec * 10**9 + stamp.nanosec) < PATIENCE_S * 10**9
 
 
 def test_a_car_that_falls_silent_has_no_odometry_of_now(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
@@ -131,6 +139,8 @@ def test_a_car_that_falls_silent_has_no_odometry_of_now(rig: RosRig, bus: str, v
     assert (received[0].header.frame_id, received[0].child_frame_id) == ("odom", "base_link")
     vcu.__exit__()
     rig.spin_until(lambda: bool(states) and states[-1].speeds_age_s > 0.3, "the car is silent")
+    seen = len(states)
+    rig.spin_until(lambda: len(states) > seen + 2, "what was on its way")
     said, count = len(received), len(states)
     rig.spin_until(lambda: len(states) > count + 20, "states of a silent car")
     assert len(received) == said
@@ -223,6 +233,17 @@ def result_of(rig: RosRig, handle) -> RunMission.Result:  # type: ignore[no-unty
     return future.result().result
 
 
+def cancel(rig: RosRig, handle) -> None:  # type: ignore[no-untyped-def]
+    """The goal; again where the loop was held up and its cancellation rejected."""
+
+    def taken() -> bool:
+        future = handle.cancel_goal_async()
+        rig.spin_until(future.done, "the answer")
+        return bool(future.result().goals_canceling)
+
+    rig.spin_until(taken, "the cancellation is taken")
+
+
 def test_a_goal_is_followed_with_feedback_to_either_end(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus)
     wait_for_car(rig, states)
@@ -246,20 +267,19 @@ def test_a_goal_is_rejected_cancelled_or_times_out(rig: RosRig, bus: str) -> Non
     assert not follow(rig, until="lunch")[0].accepted
     assert not follow(rig, mission="drag race")[0].accepted
     handle, _ = follow(rig, until="finished")
-    rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
+    cancel(rig, handle)
     assert result_of(rig, handle).ended == "cancelled"
     handle, _ = follow(rig, until="finished", timeout_s=0.1)
     assert result_of(rig, handle).ended == "timeout"
 
 
-def test_cancelling_ends_the_drive_in_order(rig: RosRig, bus: str) -> None:
+def test_cancelling_ends_the_drive_in_order() -> None:
     """As mode manual does: commands no longer count, FINISHED at rest, no emergency; then comes the result."""
-    with ScriptedVcu(bus, STATUS) as vcu:
-        car = Driving(rig, bus, vcu)
+
+    def show(rig: RosRig, vcu: ScriptedVcu, make: Callable[[], Driving]) -> None:
+        car = make()
         handle, _ = follow(rig, until="finished")
-        cancelling = handle.cancel_goal_async()
-        rig.spin_until(cancelling.done, "the cancellation")
-        assert len(cancelling.result().goals_canceling) == 1
+        cancel(rig, handle)
         result = handle.get_result_async()
 
         def finished() -> bool:
@@ -274,19 +294,53 @@ def test_cancelling_ends_the_drive_in_order(rig: RosRig, bus: str) -> None:
         assert (ended.ended, ended.as_state, ended.success) == ("cancelled", "AS_FINISHED", False)
         assert not any(image.estop_request for image in vcu.received if isinstance(image, AiStatus))
 
+    while_driving(show)
+
+
+def test_a_loop_held_up_does_not_end_a_cancelled_drive() -> None:
+    def show(rig: RosRig, vcu: ScriptedVcu, make: Callable[[], Driving]) -> None:
+        node = make().node
+        handle, _ = follow(rig, until="finished")
+        cancel(rig, handle)
+        result = handle.get_result_async()
+        os.kill(node._loop.pid, signal.SIGSTOP)
+        rig.spin_until(lambda: node._loop_silent, "the loop's silence")
+        rig.turns()
+        os.kill(node._loop.pid, signal.SIGCONT)
+        rig.spin_until(lambda: not node._loop_silent, "the loop reports again")
+        assert not result.done(), "the car is in AS_DRIVING still"
+        vcu.say(as_state=AsState.EMERGENCY_BRAKE)
+        rig.spin_until(result.done, "the goal's result")
+        assert (result.result().result.ended, result.result().result.as_state) == ("cancelled", "EMERGENCY_BRAKE")
+
+    while_driving(show)
+
+
+def test_a_cancelled_drive_ends_with_a_loop_that_hangs() -> None:
+    def show(rig: RosRig, _: ScriptedVcu, make: Callable[[], Driving]) -> None:
+        node = make().node
+        handle, _ = follow(rig, until="finished")
+        cancel(rig, handle)
+        os.kill(node._loop.pid, signal.SIGSTOP)
+        ended = result_of(rig, handle)
+        os.kill(node._loop.pid, signal.SIGCONT)
+        assert (ended.ended, "nothing is received" in ended.message) == ("cancelled", True)
+
+    while_driving(show)
+
 
 @pytest.mark.parametrize("state", [AsState.AS_OFF, AsState.AS_READY])
 def test_cancelling_before_the_drive_keeps_it_from_starting(
     rig: RosRig, bus: str, vcu: ScriptedVcu, state: AsState
 ) -> None:
-    _, states = start_bridge(rig, bus)
+    _, states = start_bridge(rig, bus, vcu_stale_ms=1000.0, vcu_lost_ms=2000.0)  # the car is in this process
     wait_for_car(rig, states)
     assert rig.ask(SetMode, "/set_mode", mode="autonomous").message == "mode is autonomous"
     assert rig.ask(SetMode, "/set_mode", mode="autonomous").message == "mode is autonomous already"
     vcu.say(as_state=state, ami=Ami.TRACKDRIVE)
     rig.spin_until(lambda: states[-1].as_state == int(state), state.label)
     handle, _ = follow(rig, until="finished")
-    rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
+    cancel(rig, handle)
     result = result_of(rig, handle)
     assert (result.ended, result.message) == ("cancelled", f"cancelled, mode is manual: the car is in {state.label}")
     assert result.duration_s >= 0.0
@@ -301,7 +355,7 @@ def test_a_cancel_that_the_loop_does_not_take_is_rejected(rig: RosRig, bus: str)
     rig.spin_until(future.done, "the answer")
     assert not future.result().goals_canceling
     del node._loop.set_mode
-    rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
+    cancel(rig, handle)
     assert result_of(rig, handle).ended == "cancelled"
 
 

@@ -48,17 +48,21 @@ def test_own_planner_confirms_and_follows_the_middle(rig: RosRig, monkeypatch: p
     for x in (1.0, 5.0, 9.0):
         cones.cones += [Cone(x=x, y=2.5, color=Cone.BLUE), Cone(x=x, y=-1.5, color=Cone.YELLOW)]
 
+    def pairs() -> list[tuple[PathMessage, PlannerStatus]]:
+        """Of one stamp; either may come without the other, for it lives for half a second only."""
+        return [(path, status) for path in paths for status in statuses if path.header.stamp == status.header.stamp]
+
     def planned() -> bool:
         stand.state()
         cones.header.stamp = rig.stamp()
         stand._cones.publish(cones)
-        return bool(paths and statuses)
+        return bool(pairs())
 
     rig.spin_until(planned, "a path and its status")
     assert (said[0].role, said[0].run_id) == ("planner", 7)
-    assert (statuses[0].run_id, statuses[0].mission) == (7, int(Ami.TRACKDRIVE))
-    assert statuses[0].header.stamp == paths[0].header.stamp
-    assert {round(pose.pose.position.y, 6) for pose in paths[0].poses[4:]} == {0.5}
+    path, status = pairs()[0]
+    assert (status.run_id, status.mission) == (7, int(Ami.TRACKDRIVE))
+    assert {round(pose.pose.position.y, 6) for pose in path.poses[4:]} == {0.5}
 
 
 def test_own_controller_confirms_and_steers_along_the_path(rig: RosRig, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from ros_rig import RosRig
 
+from fsai_hil.simulator.ground_truth import TruthReceiver
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller, visualization
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.launch import PARAMETERS
@@ -65,9 +66,14 @@ PUBLISHERS = {
 }
 
 
+def free_port() -> int:
+    with TruthReceiver(0) as free:
+        return free.port
+
+
 def all_nodes(rig: RosRig) -> None:
     rig.start(vcu_bridge.VcuBridge, can_interface=f"loopback:interface-{os.getpid()}", real_time=False)
-    rig.start(sensor_simulator.SensorSimulator, truth_port=20000 + os.getpid() % 10000)
+    rig.start(sensor_simulator.SensorSimulator, truth_port=free_port())
     rig.start(cone_detector.ConeDetector)
     rig.start(path_planner.PathPlanner)
     rig.start(vehicle_controller.VehicleController)
@@ -198,7 +204,7 @@ def test_parameters_for_no_node_by_name_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_noise_and_confidence_threshold_change_while_running(rig: RosRig) -> None:
-    rig.start(sensor_simulator.SensorSimulator, truth_port=20000 + os.getpid() % 10000)
+    rig.start(sensor_simulator.SensorSimulator, truth_port=free_port())
     detector = rig.start(cone_detector.ConeDetector)
     assert set_parameter(rig, "sensor_simulator", "noise_level", 0.0) == (True, "")
     assert set_parameter(rig, "cone_detector", "confidence_threshold", 0.75) == (True, "")

@@ -124,9 +124,9 @@ def test_a_wrong_argument_is_refused_in_one_line(given: dict[str, str], words: s
 def test_without_launch_the_first_needed_that_ends_ends_all(tmp_path: Path) -> None:
     (tmp_path / "watches.py").write_text("import os; open('pid', 'w').write(f'{os.getpid()}.')")
     (tmp_path / "fails.py").write_text(
-        "import os, pathlib, sys\npid = pathlib.Path('pid')\n"
-        "while not (pid.exists() and pid.read_text().endswith('.')): pass\n"
-        "try:\n    while True: os.kill(int(pid.read_text()[:-1]), 0)\n"
+        "import os, pathlib, sys, time\npid = pathlib.Path('pid')\n"
+        "while not (pid.exists() and pid.read_text().endswith('.')): time.sleep(0.01)\n"
+        "try:\n    while not time.sleep(0.01): os.kill(int(pid.read_text()[:-1]), 0)\n"
         "except ProcessLookupError:\n    sys.exit(3)\n"
     )
     code = (
@@ -134,7 +134,7 @@ def test_without_launch_the_first_needed_that_ends_ends_all(tmp_path: Path) -> N
         "sys.exit(run([Program('waits', 'http.server', ('0', '--bind', '127.0.0.1')), Program('fails', 'fails'),"
         " Program('watches', 'watches', needed=False)]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 3
     said = [line for line in done.stderr.splitlines() if line.startswith("launch: ")]
     assert said == [
@@ -146,7 +146,7 @@ def test_without_launch_the_first_needed_that_ends_ends_all(tmp_path: Path) -> N
 def test_without_launch_the_arguments_are_listed_and_checked() -> None:
     def launched(*words: str) -> subprocess.CompletedProcess[str]:
         argv = [sys.executable, "-m", "fsai_nodes.launch", *words]
-        return subprocess.run(argv, capture_output=True, text=True, timeout=60)
+        return subprocess.run(argv, capture_output=True, text=True, timeout=300)
 
     listed = launched("--show-args")
     assert listed.returncode == 0 and all(f"\n{each.name}:={each.default}\n" in listed.stdout for each in arguments())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -37,16 +38,21 @@ def bridge(bus: str) -> Iterator[subprocess.Popen[bytes]]:
 def test_the_emergency_brake_is_asked_for_and_reset_by_verbs(
     bridge: subprocess.Popen[bytes], bus: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from ros_rig import ScriptedVcu
+    from ros_rig import ScriptedVcu, held_up
 
     def verb(*arguments: str, namespace: str = "/car1") -> tuple[int, str, str]:
-        status = main([*arguments, "--namespace", namespace])
-        return (status, *capsys.readouterr())
+        for _ in range(20):
+            said = (main([*arguments, "--namespace", namespace, "--wait", f"{LONG_S:g}"]), *capsys.readouterr())
+            if not held_up(said[1] + said[2]):
+                break
+        return said
 
     state = json.loads(verb("status", "--json")[1])
     assert (state["mode"], state["status_age_s"]) == ("manual", None)
     assert any("0x520" in condition for condition in state["why_not_driving"])
-    assert json.loads(verb("emergency-brake", "--json")[1]) == {"success": True, "message": "ESTOP_REQUEST is latched"}
+    told = json.loads(verb("emergency-brake", "--json")[1])
+    again = "already latched because the emergency brake was asked for: by /emergency_brake"  # a first answer was lost
+    assert told in [{"success": True, "message": words} for words in ("ESTOP_REQUEST is latched", again)]
     status, out, err = verb("reset")  # no car has said its AS state
     assert (status, out, err.count("\n")) == (1, "", 1) and err.startswith("reset refused: ")
     with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)) as car:
@@ -66,10 +72,14 @@ def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
 
     with RosRig() as rig:
         rig.start(VcuBridge, can_interface=bus, real_time=False)
-        argv = [sys.executable, "-m", "fsai_vcu.cli.main", "reset", "--wait", "4"]
-        said = subprocess.run(argv, capture_output=True, text=True)  # meanwhile nobody lets the node answer
+        for wait in ("4", f"{LONG_S:g}"):  # a held up machine may not find the service in time
+            argv = [sys.executable, "-m", "fsai_vcu.cli.main", "reset", "--wait", wait]
+            said = subprocess.run(argv, capture_output=True, text=True)  # meanwhile nobody lets the node answer
+            if "no bridge offers" not in said.stderr:
+                break
     assert said.returncode == 1
-    assert said.stderr == "fsai-vcu reset: the bridge offers /reset, but did not answer within 4 s; does it hang?\n"
+    words = f"the bridge offers /reset, but did not answer within {wait} s; does it hang?"
+    assert said.stderr == f"fsai-vcu reset: {words}\n"
 
 
 @pytest.mark.parametrize(
@@ -103,6 +113,45 @@ def test_ctrl_c_ends_the_waiting(name: str) -> None:
     assert (process.returncode, said) == (130, f"fsai-vcu {name}: interrupted\n")
 
 
+def asking(*words: str) -> subprocess.Popen[str]:
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "emergency-brake", *words]
+    return subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_an_emergency_brake_asks_until_a_slow_loop_answers(bus: str) -> None:
+    from ros_rig import RosRig
+
+    from fsai_nodes.vcu_bridge import VcuBridge
+
+    with RosRig() as rig:
+        bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
+        os.kill(bridge._loop.pid, signal.SIGSTOP)
+        with asking() as process:
+            rig.spin_until(lambda: "does not answer" in bridge._last_answer, "the loop's silence", LONG_S)
+            os.kill(bridge._loop.pid, signal.SIGCONT)
+            rig.spin_until(lambda: process.poll() is not None, "the verb's end", LONG_S)
+            said = process.communicate()[0]
+    assert process.returncode == 0 and "latched" in said
+
+
+def test_an_emergency_brake_that_gives_up_says_on_whom(bus: str) -> None:
+    from ros_rig import RosRig
+
+    from fsai_nodes.vcu_bridge import VcuBridge
+
+    with RosRig() as rig:
+        bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
+        os.kill(bridge._loop.pid, signal.SIGSTOP)
+        for wait_s in (5.0, LONG_S):  # a held up machine may not find the service in time
+            with asking("--wait", f"{wait_s:g}") as process:
+                rig.spin_until(lambda process=process: process.poll() is not None, "the verb's end", 3 * LONG_S)
+                said = process.communicate()
+            if said[1].startswith("the CAN loop"):
+                break
+        os.kill(bridge._loop.pid, signal.SIGCONT)  # it ends in order
+    assert (process.returncode, *said) == (1, "", "the CAN loop does not answer\n")
+
+
 def test_an_emergency_brake_asks_until_a_slow_bridge_answers() -> None:
     from ros_rig import RosRig
     from std_srvs.srv import Trigger
@@ -112,8 +161,7 @@ def test_an_emergency_brake_asks_until_a_slow_bridge_answers() -> None:
         response.success, response.message = True, "latched"
         return response
 
-    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "emergency-brake"]
-    with RosRig() as rig, subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with RosRig() as rig, asking() as process:
         assert process.stderr is not None and process.stdout is not None
         try:
             assert process.stderr.readline().startswith("no bridge offers /emergency_brake (for ")

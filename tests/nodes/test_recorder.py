@@ -147,6 +147,7 @@ def test_record_puts_frames_and_ros_messages_into_one_bag(rig: RosRig, tmp_path:
             def both_are_there() -> bool:
                 ours.send(Frame(0x523, bytes(6)))
                 command.publish(VehicleCommand(run_id=3))
+                assert process.poll() is None, process.communicate()[1]
                 return log.exists() and log.stat().st_size > 0 and b"vehicle_cmd" in _topics(mcap)
 
             await_it(both_are_there, "frames and messages in the file")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from builtin_interfaces.msg import Time
 from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, VehicleState
 from nav_msgs.msg import Path
 from ros_rig import RosRig, ScriptedVcu
@@ -17,8 +18,9 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fsai_nodes import qos
+from fsai_nodes.clocks import Clocks
 from fsai_nodes.conversions import path_to_msg
-from fsai_nodes.scene import remembered
+from fsai_nodes.scene import Scene, remembered
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.visualization import RGB, Visualization, driven_marker, path_markers
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
@@ -44,11 +46,17 @@ def test_cones_are_seen_in_their_colours_and_then_remembered(rig: RosRig) -> Non
     cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
     raw = rig.tester.create_publisher(ConeArray, "/raw_cones", qos.SENSOR)
 
-    def published(run_id: int, x: float, *seen: Cone) -> dict[str, Marker]:
-        state, array = VehicleState(run_id=run_id, x=x, as_state_label="AS_DRIVING"), ConeArray(cones=list(seen))
-        state.header.stamp = array.header.stamp = rig.stamp()
+    def at(run_id: int, x: float) -> Time:
+        """The car is there; when."""
+        state = VehicleState(run_id=run_id, x=x, as_state_label="AS_DRIVING")
+        state.header.stamp = rig.stamp()
         states.publish(state)
         rig.turns()
+        return state.header.stamp
+
+    def published(run_id: int, x: float, *seen: Cone) -> dict[str, Marker]:
+        array = ConeArray(cones=list(seen))
+        array.header.stamp = at(run_id, x)
         cones.publish(array)
         raw.publish(array)
         return by_name(received[-1]) if received else {}
@@ -61,6 +69,8 @@ def test_cones_are_seen_in_their_colours_and_then_remembered(rig: RosRig) -> Non
     assert [rgb(c) for c in now["cones"].colors] == [RGB[ConeColor.BLUE], RGB[ConeColor.YELLOW]]
     assert "AS_DRIVING" in now["words"].text and len(now["car"].points) == 5
 
+    at(7, 10.0)  # still: to where it is next, nothing has moved when the cones were seen, by whatever clock
+
     def gone() -> bool:
         now = published(7, 20.0)
         return now["cones"].action == Marker.DELETE and len(now["remembered cones"].points) == 2
@@ -69,7 +79,7 @@ def test_cones_are_seen_in_their_colours_and_then_remembered(rig: RosRig) -> Non
     before = by_name(received[-1])["remembered cones"]
     assert before.header.frame_id == "odom"
     for point, y in zip(before.points, (1.5, -1.5), strict=True):
-        assert (point.x, point.y) == pytest.approx((14.0, y), abs=1e-3)  # of clocks that tell microseconds differently
+        assert (point.x, point.y) == pytest.approx((14.0, y), abs=1e-3)
     driven = by_name(received[-1])["driven"]
     assert [(p.x, driven.header.frame_id) for p in driven.points] == [(10.0, "odom"), (20.0, "odom")]
     rig.spin_until(lambda: not published(8, 0.0)["remembered cones"].points, "a new run has no cones")
@@ -83,6 +93,26 @@ def test_a_cone_seen_again_is_one_cone() -> None:
     cones = remembered(cones, Motion(x_m=2.0), seen(4.2, ConeColor.BLUE))
     assert cones.tolist() == [[6.2, 1.0, float(ConeColor.BLUE)]]
     assert len(remembered(cones, Motion(x_m=4.0), seen(5.0, ConeColor.BLUE))) == 2
+
+
+def test_what_was_on_its_way_in_a_new_run_is_of_the_last(rig: RosRig) -> None:
+    scene = Scene(Clocks(rig.tester))
+
+    def comes(message: Any, age_ms: float) -> Any:
+        message.header.stamp = rig.stamp(age_ms)
+        return message
+
+    def cones_and_path(age_ms: float) -> tuple[int, int, int]:
+        """Cones remembered and seen, and points of the path."""
+        scene.on_cones(comes(ConeArray(cones=[Cone(x=4.0)]), age_ms))
+        scene.on_path(comes(path(0.0, 2.0), age_ms))
+        return len(scene.remembered), len(scene.seen.xy_m), len(scene.path.poses)
+
+    scene.on_state(comes(VehicleState(run_id=7), 1000.0))
+    assert cones_and_path(900.0) == (1, 1, 2)
+    scene.on_state(comes(VehicleState(run_id=8), 500.0))
+    assert cones_and_path(600.0) == (0, 0, 0)
+    assert cones_and_path(400.0) == (1, 1, 2)
 
 
 def test_the_way_driven_is_blue_where_slow_and_red_where_fast() -> None:

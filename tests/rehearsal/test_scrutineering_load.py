@@ -68,9 +68,9 @@ def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> Non
                 return int(path.read_text().split()[13])
 
             before = cpu_ticks()
-            await_condition(lambda: cpu_ticks() > before, 20.0, "the processor is used")
+            await_condition(lambda: cpu_ticks() > before, 120.0, "the processor is used")
             written = disk_file.stat().st_mtime_ns
-            await_condition(lambda: disk_file.stat().st_mtime_ns > written, 20.0, "the disk is written to")
+            await_condition(lambda: disk_file.stat().st_mtime_ns > written, 120.0, "the disk is written to")
         assert stack.processes == {}
         assert not any(process.alive for process in processes)
         assert not disk_file.exists()
@@ -87,7 +87,7 @@ def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeyp
     with Stack("vcan0", tmp_path) as stack, loaded(stack, condition, tmp_path / "file", 0.0):
         (neighbour,) = stack.processes.values()
         pid = neighbour.popen.pid
-        await_condition(lambda: resident_bytes(pid) > most_bytes // 2, 20.0, "it takes memory")
+        await_condition(lambda: resident_bytes(pid) > most_bytes // 2, 120.0, "it takes memory")
         assert Path(f"/proc/{pid}/oom_score_adj").read_text().strip() == "1000"
         most = 0
         before = resident_bytes(pid)
@@ -108,7 +108,7 @@ def test_ten_viewers_watch_a_pit_wall_while_it_is_measured(tmp_path: Path) -> No
         links = Path(f"/proc/{viewers.popen.pid}/fd").iterdir()
         assert sum(str(each.readlink()).startswith("socket:") for each in links) == VIEWERS
         wall.stop()
-        viewers.wait(20.0)
+        viewers.wait(60.0)
         assert "the pit wall has ended" in viewers.log()
 
 
@@ -120,7 +120,7 @@ def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path, 
         loaded(stack, Condition("driving-early", AsState.AS_DRIVING, (load,)), tmp_path / "absent" / "file", 0.0),
     ):
         (program,) = stack.processes.values()
-        program.wait(20.0)
+        program.wait(60.0)
 
 
 # ------------------------------------------------------------ conditions

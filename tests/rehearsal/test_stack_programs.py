@@ -1,14 +1,19 @@
-"""The stack of a rehearsal: which program drives in a node's place."""
+"""The stack of a rehearsal: which program drives in a node's place, and Go for its car."""
 
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from fsai_hil.cli import hil
-from fsai_hil.rehearsal.stack import Stack
+from fsai_hil.rehearsal import stack
+from fsai_hil.rehearsal.stack import RunningProcess, Stack
 from fsai_vcu.cli.main import WrongUse
 
 
@@ -19,8 +24,16 @@ def test_an_own_program_is_started_under_the_nodes_name(tmp_path: Path, name: st
     own.chmod(0o755)
     with Stack("loopback:own", tmp_path / "logs", own={"path_planner": str(own)}) as stack:
         planner = stack.start_node("path_planner", laps=100)
-        assert planner.wait(30.0) == 0
+        assert planner.wait(60.0) == 0
         assert planner.log() == "own --ros-args -r __node:=path_planner\n"
+
+
+def test_at_the_end_each_process_is_asked_once(tmp_path: Path) -> None:
+    told = "import signal, time; signal.signal(15, lambda *_: print('asked')); print('ready'); signal.pause()"
+    with Stack("loopback:asked", tmp_path) as stack:
+        for name, takes_s in (("slow", 1.0), ("quick", 0.3)):  # the quick one's end is awaited first
+            stack.start(name, [sys.executable, "-c", f"{told}; time.sleep({takes_s})"]).await_log("ready", 60.0)
+    assert [process.log() for process in stack.processes.values()] == ["ready\nasked\n"] * 2
 
 
 def test_an_own_program_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,3 +51,13 @@ def test_an_own_program_that_is_none_is_refused(given: str) -> None:
     hil.add_arguments(parser)
     with pytest.raises(WrongUse, match="--with"):
         hil.run(hil.parse(parser, ["--with", given]))
+
+
+def test_go_is_given_again_until_the_car_takes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stack, "GO_AGAIN_S", 0.01)
+    car = RunningProcess("car", ["cat"], tmp_path / "car.log", os.environ, stdin=subprocess.PIPE)
+    try:
+        car.give_go(lambda: car.log().count("go") > 1, 60.0, lambda: time.sleep(0.02))
+        assert car.log().count("go") > 1
+    finally:
+        car.stop()

@@ -12,7 +12,7 @@ import pytest
 
 from fsai_hil.rehearsal.demo import rehearse
 from fsai_hil.rehearsal.stack import StackError
-from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
+from fsai_hil.rehearsal.stall_monitor import NOTED_NS, RUNS, StallMonitor
 from fsai_vcu.interface.units import MS
 
 pytest_plugins = ["pytester"]
@@ -116,12 +116,12 @@ def noted(path: Path, *notes: str) -> StallMonitor:
     monitor = object.__new__(StallMonitor)
     monitor._path = path
     if notes:
-        path.write_text("\n".join(["real-time", *notes, "12345 9999"]))  # the last is just being written
+        path.write_text("\n".join(["it watches", *notes, "12345 9999"]))  # the last is just being written
     return monitor
 
 
 def test_only_long_stalls_within_the_asked_time_are_reported(tmp_path: Path) -> None:
-    long = STOOD_STILL_NS
+    long = NOTED_NS
     times = ((0, long), (long, 2 * long), (3 * long, 4 * long - 1), (5 * long, 7 * long))
     monitor = noted(tmp_path / "notes", *(f"{began} {ended}" for began, ended in times))
     assert monitor.stalls_ns(2 * long) == [long, 2 * long]

@@ -24,6 +24,7 @@ from fsai_vcu.interface.messages import (
     AiCommand,
     Faults,
     Image,
+    RotationB,
     VcuBrake,
     VcuDriveFront,
     VcuDriveRear,
@@ -779,3 +780,14 @@ def test_a_log_with_a_line_that_cannot_be_read_is_refused(tmp_path: Path) -> Non
     log.write_text("(1.0) vcan0 511#9E07A00F\nrubbish\n")
     with pytest.raises(LogError, match="line 2"):
         check_candump(log, CODEC)
+
+
+def test_a_payload_that_repeats_hides_nothing() -> None:
+    """Of a message that no rule heeds."""
+    checker, sound = WireChecker(CODEC), CODEC.encode(RotationB(1.0, 1 * MS))
+    short = replace(sound, data=sound.data[:-1])
+    sent = [sound, sound, short, sound, replace(sound, extended=True), sound]
+    checker.on_frames([replace(frame, t_ns=(1 + place) * MS) for place, frame in enumerate(sent)])
+    assert (checker.frames, checker.now_ns) == (6, 6 * MS)
+    assert "1 x" in str(checker) and "3 bytes" in str(checker)
+    assert [f"extended identifier 0x{sound.can_id:03X}" in violation for violation in checker.violations] == [True]

@@ -19,6 +19,7 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.messages import AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import CanBus, open_bus
 from fsai_vcu.runtime.link import LinkEnd, LoopSettings, link_pair
 from fsai_vcu.runtime.loop import BridgeLoop
@@ -26,7 +27,17 @@ from fsai_vcu.runtime.loop_handle import LoopHandle
 
 REVISION = revision("2026")
 CODEC = Codec(REVISION)
-WAIT_S = 10.0
+WAIT_S = 60.0
+WAIT_NS = round(WAIT_S * S)
+# Of times that run out where a thread is held up; what they mean is tested in virtual time.
+PATIENT = BridgeConfig(
+    launch_wait_ns=WAIT_NS,
+    vcu_lost_ns=WAIT_NS,
+    power_cycle_ns=WAIT_NS,
+    stop_timeout_ns=WAIT_NS,
+    stop_window_ns=WAIT_NS,
+    send_lost_ns=WAIT_NS,
+)
 
 
 class ThreadedLoop(LoopHandle):

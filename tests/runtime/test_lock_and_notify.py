@@ -46,7 +46,7 @@ def test_the_lock_dies_with_its_process() -> None:
     read_end, write_end = os.pipe()
     child = os.fork()
     if child == 0:
-        InterfaceLock("test-child")
+        _kept = InterfaceLock("test-child")
         os.write(write_end, b"x")
         os.kill(os.getpid(), 9)
     os.read(read_end, 1)

@@ -14,7 +14,7 @@ from fsai_hil.simulator import car as car_module
 from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.vcu import Actuation
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS, VehicleParameters
 from fsai_vcu.interface.units import MS
 
 FULL = Actuation(rear_torque_nm=195.0, rear_motor_speed_max_rpm=4000, tractive_system_live=True)
@@ -28,8 +28,8 @@ def drive(car: Car, order: Actuation, seconds: float) -> None:
         car.advance(min(end, car.t_ns + 10 * MS), order)
 
 
-def at_speed(speed_mps: float) -> Car:
-    car = Car(CARS["2026"])
+def at_speed(speed_mps: float, facts: VehicleParameters = CARS["2026"]) -> Car:
+    car = Car(facts)
     while car.speed_mps < speed_mps:
         drive(car, FULL, 0.01)
     return car
@@ -228,10 +228,11 @@ def test_tyres_limit_the_lateral_acceleration() -> None:
     assert 6.0 < peak < 1.1 * car_module.FRICTION * 9.81
 
 
+@pytest.mark.parametrize("cog_m", [0.6, 0.765, 0.95])
 @pytest.mark.parametrize("speed_mps", [4.0, 8.0, 12.0])
-def test_steady_cornering_is_neutral_with_the_tyres_slip(speed_mps: float) -> None:
-    """Weight in the middle, the same tyres, stiffness by load: no understeer. At 2 m/s2 the tyres are linear."""
-    car, lateral_mps2 = at_speed(speed_mps), 2.0
+def test_steady_cornering_is_neutral_with_the_tyres_slip(speed_mps: float, cog_m: float) -> None:
+    """Wherever the weight is: the same tyres, stiffness by load, no understeer. At 2 m/s2 the tyres are linear."""
+    car, lateral_mps2 = at_speed(speed_mps, replace(CARS["2026"], cog_ahead_of_rear_axle_m=cog_m)), 2.0
     steer_deg = math.degrees(math.atan(1.53 * lateral_mps2 / speed_mps**2)) + 0.9  # and the play
     motor_rpm = round(car.facts.wheel_rpm_of_speed(speed_mps) * 3.5) + 20
     drive(car, replace(FULL, rear_torque_nm=60.0, rear_motor_speed_max_rpm=motor_rpm, steer_deg=steer_deg), 5.0)

@@ -292,7 +292,8 @@ def pacsim(track: Track) -> dict[str, object]:
         for xy, color in zip(track.cones_xy_m, track.cone_colors, strict=True)
     ]
     post = {"position": [0.0, 3.0, 0.0], "class": "timekeeping"}
-    start = {"position": [-8.0, 0.1, 0.0], "orientation": [0.0, 0.0, 0.02]}
+    centre = Pose(-8.0, 0.1, 0.02).ahead(ADS_DV_2026.cog_ahead_of_rear_axle_m)
+    start = {"position": [*centre, 0.0], "orientation": [0.0, 0.0, 0.02]}
     return {"track": {"start": start, "left": rows[::2], "right": rows[1::2], "time_keeping": [post], "unknown": []}}
 
 
@@ -353,6 +354,13 @@ def test_without_car_start_the_car_is_staged_before_the_lane(
     along = middle(made)[near + 1] - middle(made)[near]
     assert np.hypot(*(middle(made)[near] - (pose.x_m, pose.y_m))) < 0.3
     assert math.cos(math.atan2(along[1], along[0]) - pose.yaw_rad) > 0.99
+
+
+def test_without_car_start_a_gate_across_a_wide_lane_is_one() -> None:
+    gates = [f"big_orange,{x},{y}" for x in (0.0, 75.0) for y in (2.7, 2.9, -2.7, -2.9)]
+    lane = [f"{tag},{x},{y}" for x in range(5, 100, 5) for tag, y in (("blue", 2.7), ("yellow", -2.7))]
+    line = parse_track("\n".join(("tag,x,y", *gates, *lane)), "wide.csv").start_line
+    assert line is not None and (line.x_m, line.y_m) == pytest.approx((0.0, 0.0), abs=0.01)
 
 
 # ------------------------------------------------------------ the line

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from fsai_hil.vcan.clock import preloaded_clock
 TOLERANCE_NS = 1_000_000  # what it may be off between two readings, at most
 
 READ_KERNEL = """
-import ctypes, threading, time
+import ctypes, sys, threading, time
 libc = ctypes.CDLL(None)
 pair = (ctypes.c_long * 2)()
 CLOCK_REALTIME, CLOCK_MONOTONIC, SYS_CLOCK_GETTIME = 0, 1, 228  # x86-64
@@ -27,23 +28,29 @@ def kernel_ns(clock):
 """
 COMPARE = """
 PAUSE_NS = 5_000_000  # a pause of the machine's between two readings is not what is measured
-worst, last = {}, {}
+LONG_PAUSE_NS = 100_000_000  # after one, a wrong scale is felt in the readings that follow as well
+limit = kernel_ns(1) + 10_000_000_000
+while time.monotonic_ns() > kernel_ns(1) + 1_000_000 and kernel_ns(1) < limit:
+    pass  # a pause while the interpreter started is worked off
+worst, last = {}, {"monotonic": kernel_ns(1), "realtime": kernel_ns(0)}
 until = time.monotonic() + 0.4
 while time.monotonic() < until:
     for name, clock, ours in (("monotonic", 1, time.monotonic_ns), ("realtime", 0, time.time_ns)):
         before = kernel_ns(clock)
         here = ours()
         after = kernel_ns(clock)
-        if after - last.get(name, 0) < PAUSE_NS:
+        if after - last[name] > LONG_PAUSE_NS:
+            sys.exit(print("paused"))
+        if after - last[name] < PAUSE_NS:
             worst[name] = max(worst.get(name, 0), before - here, here - after)
         last[name] = after
-print(worst["monotonic"], worst["realtime"])
+print(worst["monotonic"], worst["realtime"]) if len(worst) == 2 else print("paused")
 """
 NEVER_BACK = """
 lock, last, readings = threading.Lock(), [0], [0]
 until = time.monotonic() + 0.4
 def read():
-    while last[0] < until * 1e9:
+    while last[0] < until * 1e9 or readings[0] <= 1000:
         with lock:
             now = time.monotonic_ns()
             assert now >= last[0], f"ran back by {last[0] - now} ns"
@@ -78,10 +85,18 @@ def run(program: str, clock: dict[str, str]) -> str:
     return done.stdout
 
 
+def worst_ns(clock: dict[str, str]) -> int:
+    """How far the clock was off the kernel's, at most; while the machine pauses it is tried again, for a minute."""
+    until = time.monotonic() + 60.0
+    while (said := run(COMPARE, clock).split()) == ["paused"] and time.monotonic() < until:
+        pass
+    return max(map(int, said))
+
+
 @pytest.mark.parametrize("error", [1.0, 0.99, 1.01])
 def test_it_keeps_to_the_kernels_time_even_when_its_scale_is_off(clock: dict[str, str], error: float) -> None:
     wrong = {**clock, "FSAI_NS_PER_COUNT": str(float(clock["FSAI_NS_PER_COUNT"]) * error)}
-    assert max(map(int, run(COMPARE, wrong).split())) < 2 * TOLERANCE_NS
+    assert worst_ns(wrong) < 2 * TOLERANCE_NS
 
 
 @pytest.mark.parametrize("error", [0.99, 1.01])
@@ -91,7 +106,7 @@ def test_it_never_runs_backwards_whichever_thread_reads_it(clock: dict[str, str]
 
 
 def test_without_its_scale_it_is_the_kernels_clock_itself(clock: dict[str, str]) -> None:
-    assert max(map(int, run(COMPARE, {"LD_PRELOAD": clock["LD_PRELOAD"]}).split())) <= 0
+    assert worst_ns({"LD_PRELOAD": clock["LD_PRELOAD"]}) <= 0
 
 
 def test_where_there_is_no_compiler_the_kernels_clock_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

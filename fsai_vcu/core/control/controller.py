@@ -31,12 +31,13 @@ from fsai_vcu.interface.enums import Ami
 WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO})
 SPEED_LIMIT_MARGIN_MPS = 1.0  # the motors' own limit, over the speed aimed at: it guards, it does not control
 HELD_BELOW_MPS = 0.1  # so that a speed held does not exceed the one that is set
-NEARLY_AT_REST_MPS = 1.5
+NEARLY_AT_REST_MPS = 0.3
 ASIDE_MAX_M = 4.0  # a path further beside the car …
 AHEAD_MAX_M = 6.0  # … or that begins further ahead of it is not one from where it is
 # A car that turns so much and moves so far off its path's direction gains no speed beyond this: on its way out of a
 # hairpin, where the steering was at its end, the steering needs all its rate to get back.
 ASKEW_1PM, ASKEW_RAD, ASKEW_MPS = 0.2, 0.07, 2.5
+IN_DOUBT_MPS2 = 0.7  # at once less than what the brake is used for
 PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
 STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
 PREDICTED_IN = 5  # steps
@@ -70,6 +71,7 @@ class Controller:
         self._planned: Plan | None = None  # what line and profile were made of
         self._line: Line | None = None
         self._profile: Floats | None = None
+        self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
         self._steered = deque([(-1.0, 0.0)], STEERED_KEPT)  # when (s) which road angle (rad) was asked for
         self._turned_rad = 0.0  # follows it, but for small changes to and fro
@@ -223,7 +225,9 @@ class Controller:
             self._finished = True
         if plan is not self._planned:
             self._planned, self._line = plan, line_of(np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2))
-            self._profile = None if self._line is None else self._profile_of(plan, self._line)
+            self._profile = (
+                None if self._line is None else self._profile_of(plan, self._line, speed, there.distance_m, driven)
+            )
         line = self._line
         if line is None:
             return self._no_way(f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
@@ -240,6 +244,8 @@ class Controller:
         if self._finished:
             return 0.0, settings.final_brake
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
+        if plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
+            self._note = "the path ends and is not believed to go on" + (f": {plan.note}" if plan.note else "")
         if age_s > settings.plan_old_s:
             self._note = f"the plan is {age_s:.1f} s old"
         if age_s > settings.plan_lost_s:
@@ -250,18 +256,27 @@ class Controller:
         throttle, brake = self._accelerate(line, station - travel, speed, most, now_ns)
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
-    def _profile_of(self, plan: Plan, line: Line) -> Floats:
-        """Square of the speed along the line."""
+    def _profile_of(self, plan: Plan, line: Line, speed: float, seen_from_m: float, driven_m: float) -> Floats:
+        """Square of the speed along the line. The plan is of the place `seen_from_m`, the car `driven_m` further."""
         settings = self._settings
         here = line.beside(0.0, 0.0)[0]
         sure = min(1.0, plan.confidence / settings.confidence_sure)
         stops = plan.confidence < settings.confidence_min
-        end_m = min(float(line.along_m[-1]), here + plan.supported_m)
+        # Where the car stops it does so with its nose.
+        ahead_m = plan.supported_m - (self._car.nose_ahead_of_rear_axle_m if stops else 0.0)
+        end_m = min(float(line.along_m[-1]), here + ahead_m)
+        allowed = self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS
+        # From where doubt began the car slows gently: a single doubtful look, soon outweighed, must not brake.
+        if sure == 1.0 or self._doubted is None:
+            self._doubted = seen_from_m + driven_m, speed
+        doubted_m, began_mps = self._doubted
+        rolling = began_mps**2 - 2.0 * IN_DOUBT_MPS2 * (seen_from_m + line.along_m - here - doubted_m)
+        ceiling = np.minimum(np.maximum((allowed * max(sure, 0.3)) ** 2, rolling), allowed**2)
         known = plan.mapped or plan.mission in PRESET
         lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
         return speed_profile(
             line.curvature_1pm,
-            (self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS) * max(sure, 0.3),
+            ceiling,
             (end_m, 0.0 if stops else settings.end_of_path_mps * sure),
             None if plan.stop_distance_m is None else here + plan.stop_distance_m,
             (lateral, settings.race_braking_mps2 if known else settings.braking_mps2, settings.stopping_mps2),

@@ -22,7 +22,7 @@ SLOWEST_MPS = 4.0  # a slower car steers as at this speed
 
 HORIZON_STEPS, HORIZON_STEP_S = 20, 0.05
 # What weighs the same: so far beside the path, so fast away from it, and so much jerk across.
-DEVIATION_M, DRIFT_MPS, JERK_MPS3 = 0.1, 1.0, 14.0
+DEVIATION_M, DRIFT_MPS, JERK_MPS3 = 0.2, 0.6, 14.0
 
 
 @dataclass(frozen=True, slots=True)

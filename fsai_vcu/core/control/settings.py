@@ -29,8 +29,8 @@ class ControllerSettings(Immutable):
     stopping_mps2: float = within(0.5, 8.0, 4.0)  # planned before the stopping place
     braking_max_mps2: float = within(1.2, 9.0, 6.0)
     end_of_path_mps: float = within(0.0, 20.0, 4.0)  # with what lies behind the path's end unknown
-    confidence_sure: float = within(0.01, 1.0, 0.5)  # with a lower one speeds shrink in proportion …
-    confidence_min: float = within(0.0, 1.0, 0.2)  # … and with one below this the car stops at the path's end
+    confidence_sure: float = within(0.01, 1.0, 0.5)  # with a lower one speeds shrink, gently …
+    confidence_min: float = within(0.0, 1.0, 0.2)  # … and below this the nose stops at the path's end
 
     delay_s: float = within(0.0, 0.5, 0.09)  # command to wheels: dead time, bus, half a cycle of each
     steer_play_rad: float = within(0.0, 0.05, math.radians(0.2))  # smaller changes to and fro are not asked for

@@ -1,6 +1,7 @@
 """Counting laps: the line of the start gate passed, as often as it is passed, and no oftener.
 
 The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead.
+Both lines are defined here, for the judge of the simulation too.
 Seeing the gate again corrects the line, so that odometry may drift by metres in a lap; without a gate the
 line is laid anew where the car passes it, so that only one lap's drift matters.
 """
@@ -10,11 +11,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.immutable import Immutable
 
+GATE_DEPTH_M = 5.0  # along the lane, between cones of one gate
 ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
 PASSED_M = 6.0  # further behind it than this the car has not just passed it
 BEFORE_M = 0.3
@@ -71,6 +77,15 @@ def staged(motion: Motion, line_ahead_m: float) -> LapState:
             at_distance_m=motion.distance_m,
         )
     )
+
+
+def gate_middle(gate_xy_m: Floats, left: NDArray[np.bool_]) -> Floats:
+    """(2,) the middle of the line at a gate of cones (N, 2): between the `left` ones (N, bool) and the others.
+
+    Where all stand on one side it is beside the lane, where the line would be.
+    """
+    sides = (gate_xy_m[left], gate_xy_m[~left])
+    return np.asarray(np.mean([side.mean(axis=0) for side in sides if len(side)], axis=0))
 
 
 def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: Motion, lap_min_m: float) -> LapState:

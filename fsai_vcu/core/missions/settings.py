@@ -28,7 +28,6 @@ class MissionSettings(Immutable):
     acceleration_stop_max_m: float = 90.0  # … but no further; the rules allow 100 m
 
     # Skidpad
-    skidpad_staging_m: float = 15.0
     skidpad_centres_m: float = 18.25
     skidpad_inner_diameter_m: float = 15.25
     skidpad_lane_m: float = 3.0

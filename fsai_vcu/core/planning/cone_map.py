@@ -181,8 +181,9 @@ class ConeMap:
         new = np.ones(len(at), dtype=bool)
         if len(at) and len(near):
             nearest, gap, mutual = matched(at, cones["xy"][near])
-            new = gap > settings.same_cone_m
-            same = ~new & mutual
+            same = mutual & (gap <= settings.same_cone_m)
+            # In a closed map a cone of another part of the lap may be the same one, just across the parts' border.
+            new = (gaps(at, cones["xy"]).min(axis=1) if self.closed else gap) > settings.same_cone_m
             known = near[nearest[same]]
             found[known] = True
             cones["hits"][known] += 1.0

@@ -70,6 +70,7 @@ GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; o
 # The cones of a border stand in a row: so near each other, and turning so little (cosine of the angle) that it is sure.
 CHAIN_GAP_M, CHAIN_COS = 5.0, 0.9
 CHAIN_PASSES = 2  # so many wrong colours one after the other are found
+EXPECTED = 0.5  # the side of a cone in line with a border's end
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -150,16 +151,18 @@ class ConeMemory:
         # A gate stops the car and counts its laps: it takes more than a slip of the detector to make one.
         big = votes[:, BIG]
         big[(big < GATE_VOTES_MIN) | (big <= 0.5 * votes[:, 1:].sum(axis=1))] = 0.0
-        colored = votes[:, 1:]
+        hues = votes[:, 1:]
         # A colour counts where it was seen in at least every third look: colourless sightings do not outvote it.
-        has_color = colored.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
-        color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
-        by_color = by_chain(here, SIDES.take(color))
+        has_color = hues.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
+        color = np.where(has_color & (hues.sum(axis=1) > 0), hues.argmax(axis=1) + 1, 0)
+        colored, rows = SIDES.take(color), rows_of(here)
+        by_color = by_chain(colored, rows)
         lane = known["side"][index]
         # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
         contrary = within(by_color + lane / OUTVOTES, 1.0)
         by_lane = within(lane / 4.0, 0.6)
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
+        side = carried_on(side, colored == 0.0, rows)
         return Cones(here, color.astype(np.int64), side, index)
 
     def sure(self, index: Ints) -> Bools:
@@ -196,7 +199,42 @@ def in_view(reach: Floats, angle: Floats, settings: PlannerSettings) -> Bools:
     return (reach > BESIDE_M) & (reach < settings.view_range_m) & (angle < settings.view_half_angle_rad)
 
 
-def by_chain(xy_m: Floats, side: Floats) -> Floats:
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Which of N cones stand near enough to each other to be one border's, and which in a row. The last is no cone.
+
+    whom: (N + 1, K) each cone's neighbours, N where there is none; beyond: (N + 1, K, K) whether a neighbour's own
+    neighbour stands in line behind it; between: (N + 1, K, K) whether the cone itself stands in line between two.
+    """
+
+    whom: Ints
+    beyond: Bools
+    between: Bools
+
+
+def rows_of(xy_m: Floats) -> Rows:
+    """The rows in cones (N, 2)."""
+    count = len(xy_m)
+    dx, dy = xy_m[:, 0] - xy_m[:, :1], xy_m[:, 1] - xy_m[:, 1:]
+    length = np.hypot(dx, dy)
+    pair = ((length > 0.0) & (length < CHAIN_GAP_M)).ravel().nonzero()[0]
+    cone, neighbour = np.divmod(pair, count)
+    place = np.arange(len(cone)) - cone.searchsorted(cone)  # the neighbour's among those of its cone
+    shape = count + 1, int(np.maximum.reduce(place, initial=0)) + 1
+    whom, (x, y) = np.full(shape, count), np.zeros((2, *shape))  # each neighbour, and the unit vector to it
+    slot, size = cone * shape[1] + place, length.take(pair)
+    whom.put(slot, neighbour)
+    x.put(slot, dx.take(pair) / size)
+    y.put(slot, dy.take(pair) / size)
+    ahead, across = x[:, :, None], y[:, :, None]
+    return Rows(
+        whom,
+        ahead * x.take(whom, axis=0) + across * y.take(whom, axis=0) > CHAIN_COS,
+        ahead * x[:, None] + across * y[:, None] < -CHAIN_COS,
+    )
+
+
+def by_chain(side: Floats, rows: Rows) -> Floats:
     """The sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those that stand in a border of the other
     colour, also at its end as far as it is seen: there the lane says it.
 
@@ -205,33 +243,40 @@ def by_chain(xy_m: Floats, side: Floats) -> Floats:
     """
     if not np.count_nonzero(side):
         return side
-    count = len(xy_m)
-    dx, dy = xy_m[:, 0] - xy_m[:, :1], xy_m[:, 1] - xy_m[:, 1:]
-    length = np.hypot(dx, dy)
-    pair = ((length > 0.0) & (length < CHAIN_GAP_M)).ravel().nonzero()[0]
-    if not len(pair):
-        return side
-    cone, neighbour = np.divmod(pair, count)
-    place = np.arange(len(cone)) - cone.searchsorted(cone)  # the neighbour's among those of its cone
-    shape = count + 1, int(np.maximum.reduce(place)) + 1  # the last cone is no cone, and without a colour
-    whom, (x, y) = np.full(shape, count), np.zeros((2, *shape))  # each neighbour, and the unit vector to it
-    slot, size = cone * shape[1] + place, length.take(pair)
-    whom.put(slot, neighbour)
-    x.put(slot, dx.take(pair) / size)
-    y.put(slot, dy.take(pair) / size)
-    beyond = x[:, :, None] * x.take(whom, axis=0) + y[:, :, None] * y.take(whom, axis=0) > CHAIN_COS  # and its next one
+    whom = rows.whom
     known = np.append(side, 0.0)
     for _ in range(CHAIN_PASSES):
         its = known.take(whom)
         colors = known[:, None] * its
-        led = ((its[:, :, None] * its.take(whom, axis=0) > 0.0) & beyond).any(axis=2)
+        led = ((its[:, :, None] * its.take(whom, axis=0) > 0.0) & rows.beyond).any(axis=2)
         contrary = ((colors < 0.0) & led).any(axis=1)
         if not np.count_nonzero(contrary):
             break
         mine = colors > 0.0
-        between = x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None] < -CHAIN_COS
-        contrary &= ~((mine & led).any(axis=1) | (mine[:, :, None] & mine[:, None] & between).any(axis=(1, 2)))
+        contrary &= ~((mine & led).any(axis=1) | (mine[:, :, None] & mine[:, None] & rows.between).any(axis=(1, 2)))
         if not np.count_nonzero(contrary):
             break
         known[contrary] *= -1.0
     return np.where(known[:-1] == side, side, 0.0)
+
+
+def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:
+    """The sides of cones, where those without a colour, and not yet beside the lane, are expected to carry on the
+    border whose last two cones they are in line with.
+
+    Not where the other border ends nearby as well and nothing is in line with it: in a sharp bend the outer border
+    stands straight on from the inner one's end.
+    """
+    sure = np.abs(side) > SURE_SIDE
+    if not np.count_nonzero(colourless & ~sure):
+        return side
+    whom, known = rows.whom, np.append(np.where(sure, side, 0.0), 0.0)
+    its = known.take(whom)
+    same = its * known[:, None]
+    onward = (rows.between & (same > 0.0)[:, None]).any(axis=2) & (same >= 0.0) & (whom < len(side))
+    cone, place = (onward & (its == 0.0)).nonzero()
+    carried = np.sign(np.bincount(whom[cone, place], np.sign(known[cone]), len(known)))
+    ends = (known != 0.0) & ~onward.any(axis=1)
+    contested = (ends.take(whom) & (its * carried[:, None] < 0.0)).any(axis=1)
+    new = ((carried != 0.0) & ~contested)[:-1] & colourless
+    return np.where(new, EXPECTED * carried[:-1], side)

@@ -526,10 +526,15 @@ def _centred(
         np.where(left_known, left - width, np.where(right_known, right + width, np.nan)),
     )
     known = np.isfinite(shift)
-    car_m = float(stations[_beside_car(line)])
+    car = _beside_car(line)
+    car_m = float(stations[car])
     if not np.count_nonzero(known):
         return line, stands, along - car_m, width, 0.0
-    shift = np.interp(stations, stations[known], shift[known])
+    at, shift = stations[known], shift[known]
+    if at[0] > car_m:  # with no border beside the car: it drives into the lane from where it is
+        x, y = line[car]
+        at, shift = np.append(car_m, at), np.append(x * sin[car] - y * cos[car], shift)
+    shift = np.interp(stations, at, shift)
     moved = _smoothed(_moved_left(line, within(shift, 2.5), cos, sin), settings)
     borders = along[sides != 0.0] - car_m
     return moved, stands, along - car_m, width, _reach(borders, _first_gap_m(borders, settings), settings)

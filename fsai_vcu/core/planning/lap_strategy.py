@@ -9,7 +9,7 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.laps import Circling, advance_laps, gate_seen, staged
+from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import BIG, ConeMemory, Cones
 from fsai_vcu.core.planning.course import Course, braking_m
@@ -122,7 +122,7 @@ class LapStrategy:
             # Where the car is in the map says it better than the gate.
             self._state = replace(self._state, line=replace(self._state.line, at_distance_m=motion.distance_m))
         elif len(gate) >= 2 and len(path) >= 3:
-            middle = _gate_middle(gate, path, self._half_width_m)
+            middle = _gate_across(gate, path, self._half_width_m)
             if middle is not None:
                 at = to_odometry(motion, middle[0][None, :])[0]
                 self._state = gate_seen(
@@ -141,7 +141,7 @@ class LapStrategy:
             self._stop_m = min(max(self._missions.lap_stop_m, needed), self._missions.lap_stop_max_m)
 
 
-def _gate_middle(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:
+def _gate_across(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:
     """Middle (vehicle frame) and direction of the nearest gate across the path, or None.
 
     Cones further off than the lane's border are not of this lane: another one may pass on the border's far side.
@@ -160,15 +160,13 @@ def _gate_middle(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tupl
     if not good.any():
         return None
     first = float(station[good].min())
-    good &= station < first + 5.0
-    left, right = good & (lateral > 0), good & (lateral < 0)
-    if left.any() and right.any():
-        middle = 0.5 * (gate_xy_m[left].mean(axis=0) + gate_xy_m[right].mean(axis=0))
-        index = int(nearest[good][0])
-    elif good.sum() < 2:
+    good &= station < first + GATE_DEPTH_M
+    if good.sum() < 2:
         return None
-    else:
-        # One side only: its cones' place along the path says where the line is.
+    left = lateral[good] > 0.0
+    middle = gate_middle(gate_xy_m[good], left)
+    index = int(nearest[good][0])
+    if left.all() or not left.any():
         index = int(np.abs(along - station[good].mean()).argmin())
         middle = path_m[index]
     return middle, math.atan2(float(sin[index]), float(cos[index]))

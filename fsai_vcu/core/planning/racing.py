@@ -123,7 +123,8 @@ class Racing:
         line, joined_at = self._line, self._joined_at
         if line is None:
             return NO_PATH, ""
-        if self._map.fit < (FIT_TO_JOIN if joined_at is None else FIT_MIN):
+        # Steady until now, the car races: a line laid anew is not joined from the lane.
+        if self._map.fit < (FIT_MIN if self._steady >= STEADY else FIT_TO_JOIN):
             return NO_PATH, "the cones seen do not agree with the map"
         index, left_m, turned_rad = line.beside(here)
         if joined_at is None:

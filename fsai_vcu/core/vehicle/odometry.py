@@ -120,7 +120,7 @@ def sensed_yaw_rate_radps(car: VehicleParameters, gps: GpsImu, t_ns: int) -> tup
 
 def _yaw_rates_by_wheels(car: VehicleParameters, speeds: WheelSpeeds, curvature_1pm: float) -> tuple[float, float]:
     """Yaw rates in rad/s by the left and right wheel of either axle."""
-    fl, fr, rl, rr = (car.speed_of_wheel_rpm(rpm) for rpm in speeds.all_rpm)
+    fl, fr, rl, rr = [car.speed_of_wheel_rpm(rpm) for rpm in speeds.all_rpm]
     along = math.hypot(1.0, curvature_1pm * car.wheelbase_m)  # the front wheels roll where they are steered to
     return (fr - fl) / car.track_m * along, (rr - rl) / car.track_m
 

@@ -315,12 +315,11 @@ def _scheduling(proc: Path) -> Scheduling | None:
 def scheduling_of(process: Path) -> Scheduling | None:
     """That of the most urgent thread of a process, by its folder in /proc; None when it has just ended."""
     threads = []
-    for thread in (process / "task").glob("*"):
-        try:
-            number = int(thread.name)
-            threads.append((os.sched_getparam(number).sched_priority, os.sched_getscheduler(number)))
-        except (OSError, ValueError):
-            continue
+    with suppress(OSError):
+        for thread in (process / "task").iterdir():
+            with suppress(OSError):
+                number = int(thread.name)
+                threads.append((os.sched_getparam(number).sched_priority, os.sched_getscheduler(number)))
     if not threads:
         return None
     priority, policy = max(threads)

@@ -52,6 +52,7 @@ class Listener:
         self._received: deque[Received] = deque()
         self._news: deque[str] = deque()
         self._ending = threading.Event()
+        self._end_ns = float("inf")  # what passes later need not be received
         self._error: Exception | None = None
 
     def fetch(self) -> list[Received]:
@@ -80,7 +81,7 @@ class Listener:
 
     def _receive(self) -> None:
         lost_s = 0.0
-        while not self._ending.is_set():
+        while self.heard_ns < self._end_ns:
             if self._bus is None:
                 self._try_again(lost_s)
                 continue
@@ -111,7 +112,8 @@ class Listener:
             self._news.append(f"{self._spec} is back after {time.monotonic() - lost_s:.1f} s")
 
     def close(self) -> None:
-        """What has been received can still be fetched."""
+        """What has passed until now is received first, and can still be fetched."""
+        self._end_ns = min(self._end_ns, time.monotonic_ns())
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -151,18 +153,26 @@ class LiveSource:
         for listener in self._listeners:
             listener.start()
 
-    def chunks(self, seconds: float | None = None) -> Iterator[Frames]:
-        """What is received, every 50 ms or so, possibly nothing; ends after `seconds` or when a bus is lost."""
+    def chunks(self, seconds: float | None = None, asked: Sequence[int] = ()) -> Iterator[Frames]:
+        """What is received, every 50 ms or so, possibly nothing.
+
+        Ends after `seconds`, when a bus is lost, or when the end is `asked` for: once there is something in that.
+        Whatever has passed until then is in the last of them.
+        """
         until = float("inf") if seconds is None else time.monotonic() + seconds
-        while self.lost is None and (left_s := until - time.monotonic()) > 0.0:
+        interrupted = False
+        while not interrupted and not asked and self.lost is None and (left_s := until - time.monotonic()) > 0.0:
             try:
                 time.sleep(min(_GATHER_S, left_s))
             except KeyboardInterrupt:
-                yield self._fetched()  # what was received before Ctrl-C is not lost
-                raise
+                interrupted = True
             if not self._waits:
                 self.lost = next((listener.lost for listener in self._listeners if listener.lost), None)
             yield self._fetched()
+        self.close()
+        yield self._fetched()
+        if interrupted:
+            raise KeyboardInterrupt
 
     def news(self) -> list[str]:
         """Of buses that went and came back."""

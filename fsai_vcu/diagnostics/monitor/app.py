@@ -15,6 +15,7 @@ from textual import events
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
+from textual.widget import Widget
 from textual.widgets import Input, OptionList, Static
 
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry
@@ -106,6 +107,8 @@ class MonitorApp(App[None]):
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             asyncio.get_running_loop().add_signal_handler(each, self.exit)
         asyncio.get_running_loop().add_signal_handler(signal.SIGTSTP, self._stop_process)
+        # Not textual's own either, which takes a terminal that is drawn on already for the one to be left behind.
+        asyncio.get_running_loop().add_signal_handler(signal.SIGCONT, self._draw_anew)
         self.begin_capture_print(self, stdout=False)
         self.set_interval(self._every_s, self._tick)
         self._input.display = False
@@ -115,6 +118,9 @@ class MonitorApp(App[None]):
         # By the event loop: textual's own handler waits for a lock that the code it interrupts may hold.
         with self.suspend():
             os.kill(os.getpid(), signal.SIGSTOP)
+
+    def _draw_anew(self) -> None:
+        self.refresh(layout=True)
 
     def on_print(self, event: events.Print) -> None:
         self.printed.append(event.text)
@@ -218,9 +224,13 @@ class MonitorApp(App[None]):
         self._list.styles.text_wrap = "wrap" if page == "events" else "nowrap"
         self._list.clear_options()
         self._rows = []
-        (self._scroll if is_text else self._list).focus()
+        self._type_into(self._scroll if is_text else self._list)
         self._scroll.scroll_home(animate=False)
         self._show()
+
+    def _type_into(self, widget: Widget) -> None:
+        """At once, and not behind the keys that were typed since: a busy machine may have let them wait together."""
+        self.screen.set_focus(widget)
 
     def action_next_page(self) -> None:
         place = PAGES.index(self._page) if self._page in PAGES else 0
@@ -255,7 +265,7 @@ class MonitorApp(App[None]):
         self._input.placeholder = "seconds after the start" if what == "second" else "signals: NAME or a part of it, …"
         self._input.value = ""
         self._input.display = True
-        self._input.focus()
+        self._type_into(self._input)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         parts = [part.strip() for part in event.value.split(",") if part.strip()]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -24,7 +26,7 @@ from fsai_vcu.interface.specification import STANDING_RPM
 CODEC = Codec(revision("2026"))
 HOUR_NS = 3600 * 1_000_000_000
 _BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
-_LISTENS_S = 5.0
+_LISTENS_S = 60.0
 _DRAINED_S = 0.1  # when nothing has come for so long, nothing is left to come
 _POLL_S = 0.05
 
@@ -34,6 +36,13 @@ Image = TypeVar("Image", AiStatus, AiDriveFront, AiDriveRear, AiBrake, VcuStatus
 def listeners(interface: str) -> int:
     """How many filters of all sockets are on the interface, as the kernel counts them."""
     return sum(path.read_text().split().count(interface) for path in Path("/proc/net/can").glob("rcvlist_*"))
+
+
+def send_signal(pid: int, number: signal.Signals) -> tuple[int, int]:
+    """When it was sent, at the earliest, by the clock of the bus log; and how much later it may have been."""
+    before_ns = time.time_ns()
+    os.kill(pid, number)
+    return before_ns, time.time_ns() - before_ns
 
 
 class Wire:

@@ -30,9 +30,9 @@ from fsai_vcu.interface.revisions import revision
 MISSION = "autocross"
 REPLACEABLE = NODES[1:]  # the bridge is what all others stand in front of
 WITH_HELP = "start a node of yours as well; may be given more than once"
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 180.0
 RUN_TIMEOUT_S = 1200.0
-VERDICT_TIMEOUT_S = 60.0  # matplotlib, the first time that it is imported, on a busy machine
+VERDICT_TIMEOUT_S = 180.0  # matplotlib, the first time that it is imported, on a busy machine
 PROGRESS_PERIOD_S = 1.0
 SAVED = ("bus.log", "run.png", "verdict.json")
 

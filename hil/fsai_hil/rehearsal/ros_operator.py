@@ -10,10 +10,11 @@ from typing import Any
 from fsai_hil.rehearsal.stack import Stack, StackError, holds_within
 from fsai_vcu.runtime.transport import LOOPBACK, VARIABLES
 
-ANSWER_TIMEOUT_S = 20.0
+ANSWER_TIMEOUT_S = 60.0
 ASK_AGAIN_S = 1.0
 ASK_PAUSE_S = 0.3
 _SPIN_S = 0.1
+_QUEUED_S = 0.3  # more than five states of a bridge that publishes 25 a second
 
 
 class RosOperator:
@@ -90,6 +91,12 @@ class RosOperator:
         """The first VehicleState that meets `condition`."""
         self.await_that(lambda: self.state is not None and condition(self.state), timeout_s, what)
         return self.state
+
+    def await_new_state(self, timeout_s: float, what: str) -> Any:
+        """The next VehicleState; none of those that have been waiting in the queue."""
+        holds_within(lambda: False, _QUEUED_S, self.spin)
+        self.state = None
+        return self.await_state(lambda _: True, timeout_s, what)
 
     def diagnostics(self, part: str) -> dict[str, str]:
         """What the bridge next publishes of its 'link', 'supervision', 'car' or 'loop': its message and its values."""

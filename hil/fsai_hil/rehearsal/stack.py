@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -12,6 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO
 
+from fsai_vcu.runtime.bus import split_spec
+from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.transport import loopback_environment
 
 NODES = ("vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller")
@@ -20,7 +23,8 @@ SLOW_PLACE: Mapping[str, Mapping[str, object]] = {
     "vcu_bridge": {"publish_rate_hz": 25.0},
     "sensor_simulator": {"rate_hz": 10.0},
 }
-STOP_TIMEOUT_S = 15.0
+STOP_TIMEOUT_S = 60.0
+GO_AGAIN_S = 1.5
 _POLL_S = 0.02
 
 
@@ -120,6 +124,23 @@ class RunningProcess:
         self.popen.stdin.write(line.encode() + b"\n")
         self.popen.stdin.flush()
 
+    def give_go(self, taken: Callable[[], bool], timeout_s: float, turn: Callable[[], object]) -> None:
+        """Type `go` into a simulated car, and again until it is `taken`; `turn` listens to the car for a moment.
+
+        A car ignores a Go that comes before its own 5 s of AS_READY are over, and where its process was held up they
+        end later than those of the bridge.
+        """
+        typed_s = -math.inf
+
+        def insist() -> None:
+            nonlocal typed_s
+            if time.monotonic() - typed_s >= GO_AGAIN_S:
+                self.type("go")
+                typed_s = time.monotonic()
+            turn()
+
+        holds_within(taken, timeout_s, insist)
+
     def ask(self, line: str, answer: str, timeout_s: float) -> str:
         """What it has printed before its answer to a line."""
         answers = self.log().count(answer)
@@ -145,6 +166,10 @@ class RunningProcess:
     def stop(self) -> int:
         """Ask it to end, insist if it does not; its exit status."""
         self.ask_to_end()
+        return self.end()
+
+    def end(self) -> int:
+        """Its exit status, once it has been asked to end. Asked again, a node would leave the bus without a goodbye."""
         try:
             self.popen.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -231,4 +256,7 @@ class Stack:
         for process in reversed(self.processes.values()):
             process.ask_to_end()
         for process in reversed(self.processes.values()):
-            process.stop()
+            process.end()
+        if "vcu_bridge" in self.processes and split_spec(self.bus)[0] == "socketcan":
+            # A bridge that was killed leaves a CAN loop that brakes the car to rest, and speaks until it has.
+            holds_within(lambda: holder_pid(self.bus) is None, STOP_TIMEOUT_S, lambda: time.sleep(_POLL_S))

@@ -113,8 +113,9 @@ class BusView:
         self._known_ids = frozenset(message.frame_id for message in codec.database.messages)
         self.frames = self.error_frames = 0
         self._problems: Counter[str] = Counter()
-        self._broken: dict[str, set[str]] = {}
+        self._broken: dict[tuple[str, int], set[str]] = {}
         self._strange_ids: set[int] = set()
+        self._sound: dict[int, bytes] = {}  # of what no rule heeds, each identifier's last payload in order
         self._well_formed: set[tuple[int, bytes]] = set()
         self._know_nothing()
 

@@ -11,7 +11,7 @@ nothing is hidden that can stop a drive (`nothing_hidden`), each output has exac
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -92,10 +92,10 @@ class WireChecker(BusView):
         self.found = []
         return found
 
-    def _judge(self, kind: str, image: Any, frame: str) -> None:
+    def _judge(self, kind: str, image: Any, can_id: int) -> None:
         """Hold a frame against its rules: what turns wrong is reported once, not for as long as it stays."""
         wrong: set[str] = set()
-        before = self._broken.get(frame, ())
+        before = self._broken.get((kind, can_id), ())
         for rule, check in CHECKS[self.process is not None][kind]:
             for words in check(self, image):
                 key = rule + _DIGITS.sub("", words)
@@ -103,9 +103,19 @@ class WireChecker(BusView):
                     self.wrong(rule, words)
                 wrong.add(key)
         if wrong or before:
-            self._broken[frame] = wrong
+            self._broken[kind, can_id] = wrong
 
     # ------------------------------------------------------------ what is on the bus
+
+    def on_frames(self, frames: Iterable[Frame]) -> None:
+        """Frames of the bus, in the order of time."""
+        sound = self._sound
+        for frame in frames:
+            if sound.get(frame.can_id) == frame.data and not (frame.extended or frame.remote or frame.error):
+                self.now_ns = frame.t_ns
+                self.frames += 1
+            else:
+                self.on_frame(frame)
 
     def on_frame(self, frame: Frame) -> Image | None:
         """One frame of the bus, at `frame.t_ns`. Returns what it carries, None for nothing that may be believed."""
@@ -122,6 +132,7 @@ class WireChecker(BusView):
         decoded = self.codec.decode(frame)
         if frame.can_id in HEEDED_IDS or decoded.problems:
             return self.on_decoded(frame.can_id, decoded, frame.t_ns)
+        self._sound[frame.can_id] = frame.data
         return decoded.image
 
     def on_decoded(self, can_id: int, decoded: Decoded, t_ns: int) -> Image | None:
@@ -164,7 +175,7 @@ class WireChecker(BusView):
             self.cycle.selected = image.mission_status is MissionStatus.SELECTED
             if s.ended is not None:
                 s.ended += 1
-            self._judge("0x510", image, "0x510")
+            self._judge("0x510", image, can_id)
             self._answered(image.handshake, t_ns)
             s.latched = image.estop_request or (s.latched and self.process is not None)
             self.was_off = bool(self.states) and self.states[-1] in OFF
@@ -174,19 +185,19 @@ class WireChecker(BusView):
             front = isinstance(image, AiDriveFront)
             s.torque_nm = (image.torque_nm, s.torque_nm[1]) if front else (s.torque_nm[0], image.torque_nm)
             cycle.motor_rpm = max(cycle.motor_rpm, image.motor_speed_max_rpm)
-            self._judge("drive", image, f"0x{can_id:03X}")
+            self._judge("drive", image, can_id)
             if image.torque_nm > 0.0:
-                self._judge("torque", image, f"torque of 0x{can_id:03X}")
+                self._judge("torque", image, can_id)
                 cycle.torque = s.torque_runs = s.torque_may_be_there = True
                 s.zeros, s.echoed = 0, False
             else:
-                self._broken.pop(f"torque of 0x{can_id:03X}", None)
+                self._broken.pop(("torque", can_id), None)
         elif isinstance(image, AiSteer):
-            self._judge("0x513", image, "0x513")
+            self._judge("0x513", image, can_id)
             s.steer_deg, s.steered_ns = image.steer_deg, t_ns
         elif isinstance(image, AiBrake):
             s.brake_pct = image.front_pct, image.rear_pct
-            self._judge("0x514", image, "0x514")
+            self._judge("0x514", image, can_id)
             s.braked_pct = max(s.brake_pct)
             if any(s.brake_pct):
                 cycle.brake = True
@@ -270,8 +281,7 @@ def read_candump(path: Path | str) -> Iterator[Frame]:
 def check_candump(path: Path | str, codec: Codec, *, busy_machine: bool = False) -> WireChecker:
     """Check a whole log; for `busy_machine` see `checker_for`."""
     checker = checker_for(codec, busy_machine=busy_machine)
-    for frame in read_candump(path):
-        checker.on_frame(frame)
+    checker.on_frames(read_candump(path))
     return checker
 
 

@@ -84,7 +84,7 @@ class Wheels:
         self._counts, self._counts_ns = counts, t_ns
         if before is None:
             return
-        steps = tuple((now - then) % _COUNTS for now, then in zip(counts, before, strict=True))
+        steps = [(now - then) % _COUNTS for now, then in zip(counts, before, strict=True)]
         most = n.SPEED_MOST_RPM / 60.0 * self._pulses_per_rev * max(t_ns - before_ns, n.CYCLE_NS) / 1e9 + n.COUNT_SLACK
         anew = max(steps) > most
         if not anew:
@@ -164,7 +164,7 @@ class Wheels:
                         return Belief.NO
                     worst = Belief.OPEN
         if self.rpm is not None and self.believed_ns is not None:
-            jump_rpm = max(abs(now - then) for now, then in zip(rpm, self.rpm, strict=True))
+            jump_rpm = max([abs(now - then) for now, then in zip(rpm, self.rpm, strict=True)])
             if jump_rpm > n.SPEED_CHANGE_MOST_RPM and t_ns - self.believed_ns < n.SPEED_JUMP_NS + self._slack_ns:
                 # What it is compared with may be another frame where the last one was left open, or not yet received.
                 return Belief.OPEN if self.open or self._in_flight_ns else Belief.NO

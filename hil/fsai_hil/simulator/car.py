@@ -191,7 +191,7 @@ class Car:
         if self._stopped_ns is not None and self.t_ns - self._stopped_ns < RPM_REST_NS:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
             rpm = (max(rpm[0], RPM_REST), max(rpm[1], RPM_REST), max(rpm[2], RPM_REST), max(rpm[3], RPM_REST))
-        fl, fr, rl, rr = (int(revs * per_rev) & 0xFFFF for revs in self._pulse_revs)
+        fl, fr, rl, rr = [int(revs * per_rev) & 0xFFFF for revs in self._pulse_revs]
         return CarFeedback(
             rpm,
             (fl, fr, rl, rr),

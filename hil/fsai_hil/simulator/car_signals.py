@@ -45,4 +45,6 @@ class Actuation(Immutable):
 
 def limited(value: float, most: float, least: float | None = None) -> float:
     """The value, kept from `least` (else from `-most`) to `most`, as a signal's range has it."""
-    return min(most, max(-most if least is None else least, value))
+    low = -most if least is None else least
+    value = value if value > low else low
+    return value if value < most else most

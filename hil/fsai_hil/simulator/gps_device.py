@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from typing import Final
 
 from fsai_hil.simulator.car_signals import CarFeedback, limited
@@ -57,32 +58,39 @@ def degrees_and_minutes(angle_deg: float, positive: str, negative: str) -> tuple
 class PcanGps:
     """The device from its power-up on.
 
-    `frames(names, now_ns, car)` are its messages of those names now. What the receiver and the magnetometer repeat is
-    encoded once, for it is most of the bus; the inertial messages are new each time.
+    `frames(names, now_ns, car)` are its messages of those names now. What repeats is encoded once: it is most of the
+    bus.
     """
 
     def __init__(self, codec: Codec, now_ns: int) -> None:
         self._codec = codec
         self._powered_ns = now_ns
         self._solved_ns: int | None = None
-        self._slow: dict[str, tuple[int, bytes]] = {}  # identifier and payload
+        self._felt: object = None
+        self._payloads: dict[str, tuple[int, bytes]] = {}  # with their identifiers
 
     def frames(self, names: Iterable[str], now_ns: int, car: CarFeedback) -> list[Frame]:
+        payloads, of = self._payloads, Frame.of
         if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
             self._solved_ns = now_ns
-            self._slow = self._solve(now_ns, car)
-        slow = self._slow
-        return [Frame(*slow[name], now_ns) if name in slow else self._felt(name, now_ns, car) for name in names]
+            payloads |= self._solve(now_ns, car)
+        if (felt := (car.accel_xyz_mps2, car.yaw_rate_radps)) != self._felt:
+            self._felt = felt
+            payloads |= self._feel(car)
+        return [of((*payloads[name], now_ns, False, False, False)) for name in names]
 
-    def _felt(self, name: str, now_ns: int, car: CarFeedback) -> Frame:
-        if name == Acceleration.dbc_name:
-            xyz_mg = (limited(mps2 * MILLI_G_PER_MPS2, MILLI_G_MOST) for mps2 in car.accel_xyz_mps2)
-            return self._codec.encode(Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0, now_ns))
-        if name == RotationB.dbc_name:
-            return self._codec.encode(RotationB(math.degrees(car.yaw_rate_radps), now_ns))
-        along, across, _ = (limited(mps2, DYNAMICS_MOST_MPS2) for mps2 in car.accel_xyz_mps2)
-        turning = limited(math.degrees(car.yaw_rate_radps), DYNAMICS_MOST_DEGPS)
-        return self._codec.encode(LogDynamics2(along, across, turning, now_ns))
+    def _feel(self, car: CarFeedback) -> dict[str, tuple[int, bytes]]:
+        """The inertial messages."""
+        xyz_mg = [limited(mps2 * MILLI_G_PER_MPS2, MILLI_G_MOST) for mps2 in car.accel_xyz_mps2]
+        along, across, _ = [limited(mps2, DYNAMICS_MOST_MPS2) for mps2 in car.accel_xyz_mps2]
+        turning_degps = math.degrees(car.yaw_rate_radps)
+        images: tuple[Message, ...] = (
+            Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0),
+            RotationB(turning_degps),
+            LogDynamics2(along, across, limited(turning_degps, DYNAMICS_MOST_DEGPS)),
+        )
+        encoded = [(image.dbc_name, self._codec.encode(image)) for image in images]
+        return {name: (frame.can_id, frame.data) for name, frame in encoded}
 
     def _solve(self, now_ns: int, car: CarFeedback) -> dict[str, tuple[int, bytes]]:
         """Everything that changes ten times a second at most."""
@@ -116,11 +124,14 @@ class PcanGps:
             images += [GpsDilutionA(99.9, 99.9), GpsDilutionB(99.9)]
             others["GPS_CourseSpeed"] = (0.0, 0.0)
         solved = {image.dbc_name: self._codec.encode(image).data for image in images}
-        for name, values in others.items():
-            message = self._codec.database.get_message_by_name(name)
-            signals = [signal.name for signal in message.signals]
-            solved[name] = message.encode(dict(zip(signals, values, strict=True)))
+        solved |= {name: _payload(self._codec, name, values) for name, values in others.items()}
         return {name: (BY_NAME[name].can_id, data) for name, data in solved.items()}
+
+
+@lru_cache
+def _payload(codec: Codec, name: str, values: tuple[float, ...]) -> bytes:
+    message = codec.database.get_message_by_name(name)
+    return message.encode(dict(zip([signal.name for signal in message.signals], values, strict=True)))
 
 
 GPS_NAMES: Final = tuple(

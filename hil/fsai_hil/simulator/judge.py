@@ -127,35 +127,34 @@ class _Route:
 
     def __init__(self, track: Track) -> None:
         assert track.centreline_m is not None  # callers ask only for tracks that have one
-        self._track = track
+        self._closed, self._count = track.closed, len(track.centreline_m)
+        # A closed line has no ends; an open one stays at them.
+        around, mode = range(-self.BACK, self._count + self.ON), "wrap" if track.closed else "clip"
+        self._around: list[tuple[float, float]] = track.centreline_m.take(around, axis=0, mode=mode).tolist()  # type: ignore[call-overload]
         self._index: int | None = None
-        self.step_m = track.length_m / max(1, len(track.centreline_m) - (0 if track.closed else 1))
+        self.step_m = track.length_m / max(1, self._count - (0 if track.closed else 1))
         self.progress_m = 0.0  # along the centreline since the run began
         self.lateral_m = 0.0  # positive: left of it
 
-    def _points(self, indices: range) -> list[tuple[float, float]]:
-        """A closed line has no ends; an open one stays at them."""
-        line: Any = self._track.centreline_m
-        points: list[tuple[float, float]]
-        points = line.take(indices, axis=0, mode="wrap" if self._track.closed else "clip").tolist()
-        return points
+    def _points(self, begin: int, end: int) -> list[tuple[float, float]]:
+        return self._around[begin + self.BACK : end + self.BACK]
 
-    def _nearest(self, indices: range, x: float, y: float) -> int:
-        apart = [(px - x) * (px - x) + (py - y) * (py - y) for px, py in self._points(indices)]
-        return indices[apart.index(min(apart))]
+    def _nearest(self, begin: int, end: int, x: float, y: float) -> int:
+        apart = [(px - x) * (px - x) + (py - y) * (py - y) for px, py in self._points(begin, end)]
+        return begin + apart.index(min(apart))
 
     def follow(self, x: float, y: float) -> float:
         """How far left of it the car is now."""
-        closed, count = self._track.closed, len(self._track.centreline_m)  # type: ignore[arg-type]
+        closed, count = self._closed, self._count
         if self._index is None or (closed and abs(self.lateral_m) > self.LOST_M):
             # found anew: no progress is credited for the way here. An open route is entered at its first pass
-            self._index = self._nearest(range(count), x, y)
-        best = self._nearest(range(self._index - self.BACK, self._index + self.ON + 1), x, y)
+            self._index = self._nearest(0, count, x, y)
+        best = self._nearest(self._index - self.BACK, self._index + self.ON + 1, x, y)
         if not closed:
             best = max(0, best)
         self.progress_m += (best - self._index) * self.step_m
         self._index = best % count
-        (ax, ay), (px, py), (bx, by) = self._points(range(self._index - 1, self._index + 2))
+        (ax, ay), (px, py), (bx, by) = self._points(self._index - 1, self._index + 2)
         length = math.hypot(bx - ax, by - ay)
         across = (bx - ax) * (y - py) - (by - ay) * (x - px)
         self.lateral_m = across / length if length else math.hypot(x - px, y - py)
@@ -622,6 +621,11 @@ class Judge:
         return self._driving_ns is None and not self.done
 
     @property
+    def ends_in(self) -> AsState:
+        """The state in which the mission ends where it is fulfilled."""
+        return self._criteria.ends_in
+
+    @property
     def hit_cones(self) -> list[int]:
         """The cones that the car has hit, by their index on the track."""
         return sorted(self._surroundings.hit)
@@ -640,7 +644,7 @@ class Judge:
         found = list(self._reasons)
         if self._driving_ns is None:
             return found or ["never entered AS_DRIVING"]
-        wanted = self._criteria.ends_in
+        wanted = self.ends_in
         last = self._states[-1][0]
         if last is not wanted:
             by = f" ({self._cause.label})" if self._cause is not None and last is AsState.EMERGENCY_BRAKE else ""

@@ -160,7 +160,8 @@ class Lockstep:
                 self.world.on_frame(frame)
 
     def _see(self, frames: Iterable[Frame]) -> None:
-        for see in (self.wire.on_frame, self.watch, self.on_frame):
+        self.wire.on_frames(frames)
+        for see in (self.watch, self.on_frame):
             if see is not None:
                 for frame in frames:
                     see(frame)

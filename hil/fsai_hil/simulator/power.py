@@ -109,6 +109,7 @@ class Subsystem:
 
     def __init__(self, first: TsState | EbsState, now_ns: int) -> None:
         self.state: Any = first
+        self._steps = self.STEPS[type(first)]
         self._since_ns = now_ns
         self._wanted = False
 
@@ -121,7 +122,7 @@ class Subsystem:
             return
         if began:
             self._since_ns = now_ns
-        step = self.STEPS[type(self.state)].get((wanted, self.state))
+        step = self._steps.get((wanted, self.state))
         if step is not None and now_ns - self._since_ns >= step[1]:
             self.state, self._since_ns = step[0], now_ns
 

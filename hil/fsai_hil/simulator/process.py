@@ -53,7 +53,7 @@ HELP: Final = f"""commands:
   off                    all switches off
   NAME on|off            one switch: {", ".join(name for name in SWITCH_NAMES if name.islower())}
   ami MISSION            choose a mission on the display ({", ".join(a.name.lower() for a in Ami)})
-  go [off]               Go (off and on again if it is on already)
+  go [off]               Go (off and on again if it is on already and nothing drives)
   estop [off]            the remote E-stop
   status                 what the car shows
   measure NAME           count the AI computer's response times from now on under NAME (in the result)
@@ -379,7 +379,7 @@ class VcuProcess:
         flag = {"on": True, "off": False, "1": True, "0": False}.get(rest[0] if rest else "on")
         if verb not in SWITCH_NAMES or not isinstance(getattr(switches, verb), bool) or flag is None:
             return f"unknown command {line.strip()!r}; help shows what there is"
-        if verb == "go" and flag and switches.go:
+        if verb == "go" and flag and switches.go and self.world.vcu.state is not AsState.AS_DRIVING:
             # only a rising edge starts the car: let it be seen off first
             switches.go = False
             self._go_again_ns = time.monotonic_ns() + GO_OFF_NS

@@ -65,19 +65,21 @@ class ConeSensor:
         distance = np.hypot(x, y)
         seen = (distance >= s.blind_m) & (distance <= s.range_m)
         seen &= np.abs(np.arctan2(y, x)) <= math.radians(s.field_of_view_deg / 2.0)
-        x, y, distance, colors = x[seen], y[seen], distance[seen], self._colors[seen].copy()
+        x, y, distance, colors = x[seen], y[seen], distance[seen], self._colors[seen]
         if level > 0.0:
             # one draw of each kind for every cone in view, so that a change of level does not reshuffle all others
             draw = self._random
             far = distance / s.range_m
+            farther = far**2
             count = len(distance)
             chance = draw.random((4, count))
             noise = draw.standard_normal((2, count)) * level * (s.noise_m + s.noise_per_m * distance)
             x, y = x + noise[0], y + noise[1]
-            colors = np.where(chance[1] < level * s.confused_far * far**2, _other(colors, chance[3]), colors)
-            colors = np.where(chance[2] < level * s.unknown_far * far**2, ConeColor.UNKNOWN, colors)
-            kept = chance[0] >= level * (s.miss_near + (s.miss_far - s.miss_near) * far**2)
-            certain = np.clip(0.97 - 0.25 * far - 0.1 * level * chance[3], 0.5, 1.0)
+            if (confused := chance[1] < level * s.confused_far * farther).any():
+                colors[confused] = _other(colors[confused], chance[3][confused])
+            colors[chance[2] < level * s.unknown_far * farther] = ConeColor.UNKNOWN
+            kept = chance[0] >= level * (s.miss_near + (s.miss_far - s.miss_near) * farther)
+            certain = np.minimum(np.maximum(0.97 - 0.25 * far - 0.1 * level * chance[3], 0.5), 1.0)
             x, y, colors, certain = x[kept], y[kept], colors[kept], certain[kept]
             if ghosts := int(draw.poisson(level * s.false_per_scan)):
                 ghost_x, ghost_y, ghost_colors, ghost_certain = self._ghosts(ghosts)

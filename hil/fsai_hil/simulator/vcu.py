@@ -596,7 +596,7 @@ class SimulatedVcu:
         return BrakeStatus.SHUTDOWN_COMPLETE if self.shut_down else BrakeStatus.SHUTTING_DOWN
 
     def _speeds_image(self, t_ns: int) -> WheelSpeeds:
-        return WheelSpeeds(*(round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm), t_ns)
+        return WheelSpeeds(*[round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm], t_ns)
 
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
         link = self._link
@@ -665,7 +665,7 @@ BUILDERS: Final[Mapping[str, Callable[[SimulatedVcu, int], Image]]] = MappingPro
         VcuSteer.dbc_name: SimulatedVcu._steer_image,
         VcuBrake.dbc_name: SimulatedVcu._brake_image,
         WheelSpeeds.dbc_name: SimulatedVcu._speeds_image,
-        WheelCounts.dbc_name: lambda vcu, t_ns: WheelCounts(*(each & 0xFFFF for each in vcu._feedback.pulses), t_ns),
+        WheelCounts.dbc_name: lambda vcu, t_ns: WheelCounts(*[each & 0xFFFF for each in vcu._feedback.pulses], t_ns),
         VcuSystemStatus.dbc_name: SimulatedVcu._system_image,
         LogDynamics1.dbc_name: SimulatedVcu._log_dynamics_image,
         LogStatus.dbc_name: SimulatedVcu._log_status_image,

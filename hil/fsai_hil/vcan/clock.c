@@ -98,7 +98,14 @@ static void ask_kernel(unsigned current) {
       next->owed_ns = behind < -LOST_NS ? -LOST_NS : behind;
     }
   }
-  next->realtime_ns = kernel_ns(CLOCK_REALTIME) - kernel_ns(CLOCK_MONOTONIC);
+  int64_t tightest = INT64_MAX;
+  for (int attempt = 0; attempt < 3; attempt++) {
+    int64_t from = kernel_ns(CLOCK_MONOTONIC), wall = kernel_ns(CLOCK_REALTIME), to = kernel_ns(CLOCK_MONOTONIC);
+    if (to - from < tightest) {
+      tightest = to - from;
+      next->realtime_ns = wall - (from + to) / 2;
+    }
+  }
   atomic_store_explicit(&generation, current + 1, memory_order_release);
 }
 

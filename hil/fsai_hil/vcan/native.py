@@ -14,7 +14,7 @@ from pathlib import Path
 TIMED_OUT = 124  # the exit status of a command that was ended by its time limit, as timeout(1) has it
 INTERFACE = "vcan0"
 TX_QUEUE_FRAMES = 10  # two cycles of commands; the usual 1000 would hold back two seconds of stale ones
-_PROBE_S = 20.0
+_PROBE_S = 60.0
 _GRACE_S = 5.0
 _ARPHRD_CAN = "280"  # linux/if_arp.h
 BIN = "/usr/sbin:/usr/bin:/sbin:/bin"

@@ -44,7 +44,7 @@ _MODULES = Path("/usr/lib/uml")  # the folder above modules/VERSION, as the pack
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
 _SHARED_MEMORY = Path("/dev/shm")
 _RESULTS_MIB = 1024  # far above what a suite leaves behind
-_BOOT_S = 60.0
+_BOOT_S = 300.0
 _LOOK_S = 0.2
 _RELAYED_S = 10.0
 _NICENESS = -20
@@ -250,23 +250,25 @@ def boot(
     environment = {"PATH": BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **clock}
     sys.stdout.flush()
     with log_path.open("ab") as log, processor_of_its_own() as processor:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            pass_fds=(console,),
-            env=environment,
-            start_new_session=True,
-            preexec_fn=lambda: _settle(processor),
-        )
-        os.close(console)
-        # Not our own standard output: the machine would make it non-blocking for everybody who has it.
-        relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
-        os.close(output)
-        limit = time.monotonic() + _BOOT_S
-        up = False
+        process: subprocess.Popen[bytes] | None = None
+        relay: subprocess.Popen[bytes] | None = None
         try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                pass_fds=(console,),
+                env=environment,
+                start_new_session=True,
+                preexec_fn=lambda: _settle(processor),
+            )
+            os.close(console)
+            # Not our own standard output: the machine would make it non-blocking for everybody who has it.
+            relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
+            os.close(output)
+            limit = time.monotonic() + _BOOT_S
+            up = False
             while time.monotonic() < limit:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(_LOOK_S)
@@ -276,10 +278,12 @@ def boot(
                     limit = time.monotonic() + timeout_s
             return False
         finally:
-            end_group(process)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                relay.wait(_RELAYED_S)  # what the machine has still printed, for a reader who takes his time
-            end_group(relay)
+            if process is not None:
+                end_group(process)
+            if relay is not None:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    relay.wait(_RELAYED_S)  # what the machine has still printed, for a reader who takes his time
+                end_group(relay)
 
 
 def _settle(cpu: int) -> None:

@@ -22,16 +22,19 @@ STEP_M, MOST_STEPS = 0.5, 1000  # of the way driven
 class Scene:
     """Remembers the newest of each topic, and the cones of the run; forgets them with a new run.
 
+    Cones and paths from before the run's first state, which were on their way then, are of the last run and not taken.
+
     history: where the car was. remembered: (N, 3) x, y (odometry frame), colour. seen: the newest cones, in the
     vehicle frame of their instant. driven: x, y (odometry frame), speed.
     """
 
     def __init__(self, clocks: Clocks) -> None:
         self._clocks = clocks
-        self._forget(VehicleState())
+        self._forget(VehicleState(), 0)
 
-    def _forget(self, state: VehicleState) -> None:
+    def _forget(self, state: VehicleState, began_ns: int) -> None:
         self.state = state
+        self._began_ns = began_ns
         self.history = MotionHistory()
         self.driven: list[tuple[float, float, float]] = []
         self.raw = ConeArray()
@@ -42,10 +45,11 @@ class Scene:
         self.remembered = np.empty((0, 3))
 
     def on_state(self, message: VehicleState) -> None:
+        now_ns = self._clocks.now_ns()
+        t_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         if message.run_id != self.state.run_id:
-            self._forget(message)
+            self._forget(message, min(t_ns, now_ns))
         self.state = message
-        t_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
         self.history.add(motion_from_state(message, t_ns))
         here = (message.x, message.y, message.speed_mps)
         if not self.driven or math.dist(here[:2], self.driven[-1][:2]) > STEP_M:
@@ -55,8 +59,10 @@ class Scene:
         self.raw = message
 
     def on_cones(self, message: ConeArray) -> None:
-        self.cones = message
-        self.seen = cones_from_msg(message, self._clocks.steady_of(message.header.stamp, self._clocks.now_ns()))
+        seen = cones_from_msg(message, self._clocks.steady_of(message.header.stamp, self._clocks.now_ns()))
+        if seen.t_ns < self._began_ns:
+            return
+        self.cones, self.seen = message, seen
         there = self.history.at(self.seen.t_ns)
         if there is not None:
             self.remembered = remembered(self.remembered, there, self.seen)
@@ -65,7 +71,8 @@ class Scene:
         self.status = message
 
     def on_path(self, message: Path) -> None:
-        self.path = message
+        if self._clocks.steady_of(message.header.stamp, self._clocks.now_ns()) >= self._began_ns:
+            self.path = message
 
 
 def remembered(cones: np.ndarray, there: Motion, seen: ConeObservation) -> np.ndarray:

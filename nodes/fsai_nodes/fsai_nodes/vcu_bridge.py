@@ -405,7 +405,10 @@ class VcuBridge(LifecycleNode):
                 logger.warning("the CAN loop reports again")
         self._publish_state(report, now_ns)
         self._publish_motion(report)
-        self._step_goals(report, now_ns)
+        newest = loop.loop_report().bridge
+        # A car that is silent has stopped itself, and one whose loop hangs; a loop that was held up says nothing of it.
+        gone = newest.vcu_lost or (self._loop_silent and now_ns - newest.t_ns >= _CONFIG.stop_timeout_ns)
+        self._step_goals(report, now_ns, gone=gone)
 
     def _publish_state(self, report: BridgeReport, now_ns: int) -> None:
         # The run goes out before the first state that belongs to it, so that nobody drives a new run with old memory.
@@ -477,14 +480,16 @@ class VcuBridge(LifecycleNode):
         done, _ = self._ask("run_mission cancelled", lambda loop: loop.set_mode("manual"))
         return CancelResponse.ACCEPT if done else CancelResponse.REJECT
 
-    def _step_goals(self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None) -> None:
+    def _step_goals(
+        self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None, *, gone: bool = False
+    ) -> None:
+        """gone: a drive that was cancelled is over, whatever the car said last."""
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
                 continue  # its result is being handed over
             cancelled = handle.is_cancel_requested
-            # A car that is silent to a drive that was cancelled has stopped itself.
-            as_state = None if cancelled and report.vcu_lost else report.run.as_state
+            as_state = None if cancelled and gone else report.run.as_state
             outcome = ending or following.waiting.step(as_state, _mission_shown(report), now_ns, cancelled=cancelled)
             if outcome is not None:
                 following.outcome, following.report, following.ended_ns = outcome, report, now_ns

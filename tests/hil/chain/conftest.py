@@ -124,8 +124,7 @@ class Chain:
         drives = self._shared is not None
         run = self.shared_car()
         if drives:
-            self.operator.state = None
-            state = self.operator.await_state(lambda s: True, STOP_S, "the bridge reports its state")
+            state = self.operator.await_new_state(STOP_S, "the bridge reports its state")
             drives = state.as_state == AsState.AS_DRIVING and not (state.emergency or state.stopping)
         if not drives:
             self.power_up(run)
@@ -152,11 +151,11 @@ class Chain:
         run.type(f"ami {MISSION}")
         self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
         self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
-        run.type("go")
-        self.driving(run)
+        self.go(run)
 
-    def driving(self, run: CarRun) -> None:
-        """Wait until the car drives at speed."""
+    def go(self, run: CarRun) -> None:
+        """Go for a car in AS_READY; wait until it drives at speed."""
+        run.vcu.give_go(lambda: self.state.as_state != AsState.AS_READY, POWER_UP_S, self.operator.spin)
 
         def decided() -> bool:
             state = self.state  # an age that is not a number is no young one either: nothing was received yet
@@ -217,4 +216,4 @@ def rules_kept(wire: BusWatch, *, lost_ns: int | None = None) -> None:
             lost_ns = None
         if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER):
             checker.on_frame(frame)
-    assert checker.ok, checker
+    assert checker.ok, str(checker)

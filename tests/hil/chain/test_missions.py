@@ -97,8 +97,7 @@ def test_a_car_of_another_revision_is_named_and_rules_are_kept(chain: Chain) -> 
             POWER_UP_S,
             "ready for Go",
         )
-        run.type("go")
-        chain.driving(run)
+        chain.go(run)
         run.type("estop")
         state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
         assert state.as_state == AsState.EMERGENCY_BRAKE

@@ -33,7 +33,7 @@ from chain.conftest import (
     rules_kept,
 )
 from conftest import ip, logged, new_folder
-from fsai_hil.rehearsal.bus_watch import BusWatch
+from fsai_hil.rehearsal.bus_watch import BusWatch, send_signal
 from fsai_hil.rehearsal.stack import NODES, await_condition
 from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
 from fsai_hil.rules.checker import MS
@@ -107,8 +107,7 @@ def test_without_fresh_data_the_car_stops_for_good(
     chain: Chain, drive: BusWatch, name: str, number: signal.Signals
 ) -> None:
     """Without data the controller goes on commanding; its commands carry the stamp of the oldest data behind them."""
-    struck_ns = time.time_ns()
-    chain.stack.processes[name].signal(number)
+    struck_ns, late_ns = send_signal(chain.stack.processes[name].popen.pid, number)
     try:
         comes_to_rest(chain, AsState.AS_FINISHED)
     finally:
@@ -120,16 +119,15 @@ def test_without_fresh_data_the_car_stops_for_good(
     chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "commands with fresh data come again")
     comes_to_rest(chain, AsState.AS_FINISHED)
     data_ns = 0 if name == "vehicle_controller" else DEADLINES.sensor_stale_ns
-    assert drive.torque_ends(struck_ns) <= data_ns + DEADLINES.command_stale_ns + CYCLE_NS
-    assert drive.brakes_after(struck_ns) <= data_ns + DEADLINES.command_lost_ns + CYCLE_NS
+    assert drive.torque_ends(struck_ns) <= late_ns + data_ns + DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(struck_ns) <= late_ns + data_ns + DEADLINES.command_lost_ns + CYCLE_NS
     rules_kept(drive)
 
 
 @pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
 def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: BusWatch, hang_s: float) -> None:
     loop = chain.pids["CAN loop"]
-    stopped_ns = time.time_ns()
-    os.kill(loop, signal.SIGSTOP)
+    stopped_ns, late_ns = send_signal(loop, signal.SIGSTOP)
     try:
         if hang_s > 1.0:
             chain.operator.await_state(
@@ -143,9 +141,10 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: BusW
         os.kill(loop, signal.SIGCONT)
     comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
     spoken = [t_ns for t_ns, _ in drive.images(AiStatus, stopped_ns)]
-    assert not [t_ns for t_ns in spoken if stopped_ns + CYCLE_NS < t_ns < woken_ns], "it is silent while it hangs"
+    silent_ns = stopped_ns + late_ns + CYCLE_NS
+    assert not [t_ns for t_ns in spoken if silent_ns < t_ns < woken_ns], "it is silent while it hangs"
     emergency = state_after(drive, stopped_ns, AsState.EMERGENCY_BRAKE)
-    assert emergency <= VCU_PATIENCE_NS + CYCLE_NS, "the car stops itself"
+    assert emergency <= late_ns + VCU_PATIENCE_NS + CYCLE_NS, "the car stops itself"
     assert drive.images(AiStatus, woken_ns)[0][1].estop_request, "the first that it says is ESTOP_REQUEST"
     assert drive.torque_ends(woken_ns) == 0
     assert "late" in chain.state.emergency
@@ -155,24 +154,23 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: BusW
 @long
 def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: BusWatch) -> None:
     bridge = chain.stack.processes["vcu_bridge"]
-    killed_ns = time.time_ns()
-    os.kill(chain.pids["CAN loop"], signal.SIGKILL)
+    killed_ns, late_ns = send_signal(chain.pids["CAN loop"], signal.SIGKILL)
     assert bridge.wait(STOP_S) == 1
     assert "the CAN loop ended by itself: its process was killed by signal 9" in bridge.log()
     chain.stack.start_node("vcu_bridge")
     chain.operator.await_bridge(START_S)
-    chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "the car has stopped itself")
+    # The killed one's services may still be found, so it is this that awaits the start.
+    chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, START_S, "the car has stopped itself")
     emergency = state_after(drive, killed_ns, AsState.EMERGENCY_BRAKE)
-    assert emergency <= VCU_PATIENCE_NS + CYCLE_NS
-    assert drive.torque_ends(killed_ns + CYCLE_NS) == 0
+    assert emergency <= late_ns + VCU_PATIENCE_NS + CYCLE_NS
+    assert drive.torque_ends(killed_ns + late_ns + CYCLE_NS) == 0
 
 
 @long
 def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: BusWatch) -> None:
     """No command reaches the loop, which answers the car all the while and brakes it to rest."""
     edge = chain.stack.processes["vcu_bridge"]
-    stopped_ns = time.time_ns()
-    edge.signal(signal.SIGSTOP)
+    stopped_ns, late_ns = send_signal(edge.popen.pid, signal.SIGSTOP)
     try:
         time.sleep(5.0)  # the length of the hang is what is tested
     finally:
@@ -180,8 +178,8 @@ def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: BusWatch) ->
         edge.signal(signal.SIGCONT)
     comes_to_rest(chain, AsState.AS_FINISHED)
     assert chain.state.mode == "manual", "a stop for lost commands is latched"
-    assert drive.torque_ends(stopped_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
-    assert drive.brakes_after(stopped_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    assert drive.torque_ends(stopped_ns) <= late_ns + DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(stopped_ns) <= late_ns + DEADLINES.command_lost_ns + CYCLE_NS
     assert not first_gap(drive, stopped_ns, VCU_PATIENCE_NS), "the loop is never silent"
     assert not any(status.estop_request for t_ns, status in drive.images(AiStatus, stopped_ns) if t_ns < woken_ns)
     rules_kept(drive)
@@ -190,21 +188,21 @@ def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: BusWatch) ->
 def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: BusWatch) -> None:
     """The loop brakes the car to rest, says FINISHED, and ends; the next bridge may start."""
     loop = chain.pids["CAN loop"]
-    killed_ns = time.time_ns()
-    chain.stack.processes["vcu_bridge"].signal(signal.SIGKILL)
+    killed_ns, late_ns = send_signal(chain.stack.processes["vcu_bridge"].popen.pid, signal.SIGKILL)
     chain.operator.state = None
-    await_condition(lambda: not Path(f"/proc/{loop}/root").exists(), STOP_S, "the loop's process ends by itself")
+    await_condition(lambda: ended(loop), STOP_S, "the loop's process ends by itself")
     ended_ns = time.time_ns()
     chain.stack.start_node("vcu_bridge")
     chain.operator.await_bridge(START_S)
-    state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
+    # The killed one's services may still be found, so it is this that awaits the start.
+    state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, START_S, "an emergency")
     assert (state.mode, state.shutdown_cause_label) == ("manual", "AI_COMMS_FAULT")
     accepted, _ = chain.operator.set_mode("autonomous")
     assert not accepted, "autonomous was accepted in EMERGENCY_BRAKE"
     finished = state_after(drive, killed_ns, AsState.AS_FINISHED)
     assert finished <= ended_ns - killed_ns
-    assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
-    assert drive.brakes_after(killed_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    assert drive.torque_ends(killed_ns) <= late_ns + DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(killed_ns) <= late_ns + DEADLINES.command_lost_ns + CYCLE_NS
     until_finished = [status for t_ns, status in drive.images(AiStatus, killed_ns) if t_ns < killed_ns + finished]
     assert not any(status.estop_request for status in until_finished)
 
@@ -240,10 +238,9 @@ def test_a_car_drives_on_when_the_clock_is_stepped(chain: Chain, drive: BusWatch
 
 
 def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: BusWatch) -> None:
-    second = chain.stack.start(
-        "second_bridge",
-        [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"],
-    )
+    bridge = [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"]
+    # Nice: on one slow processor its import of ROS would keep the controller silent until the car stops.
+    second = chain.stack.start("second_bridge", ["nice", "-n", "19", *bridge])
     try:
         assert second.wait(START_S) != 0
     finally:
@@ -252,8 +249,7 @@ def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: B
     lines = [line for line in second.log().splitlines() if not line.startswith("[INFO]")]
     assert len(lines) == 1 and "already drives 'vcan0'" in lines[0], second.log()
     chain.stack.check_alive(*NODES)
-    chain.operator.state = None
-    chain.operator.await_state(lambda s: True, STOP_S, "the first bridge goes on")
+    chain.operator.await_new_state(STOP_S, "the first bridge goes on")
     chain.drives_on()
 
 
@@ -340,6 +336,14 @@ def test_an_interface_plugged_in_again_is_used_again(
     assert again.images(AiStatus), "it speaks again"
     assert again.torque_ends(0) == 0
     rules_kept(drive)
+
+
+def ended(pid: int) -> bool:
+    """Whether there is no such process, or only what is left for its parent to see."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "XZ"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
 
 
 def await_lost(chain: Chain) -> None:

@@ -117,8 +117,8 @@ class Observer:
         now_ns = rig.now_ns
         seen.ended_ns = now_ns
         if seen.mission_over_ns is None:
-            command = rig.computer.commanded
-            if command is not None and (command.mission_finished or command.estop_request):
+            command, ends_so = rig.computer.commanded, rig.world.run.judge.ends_in is AsState.EMERGENCY_BRAKE
+            if command is not None and (command.mission_finished or (ends_so and command.estop_request)):
                 seen.mission_over_ns = now_ns
         if now_ns < self._next_ns:
             return

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from fsai_hil.rehearsal.bus_watch import HOUR_NS, BusWatch
+from fsai_hil.rehearsal.bus_watch import HOUR_NS, BusWatch, send_signal
 from fsai_hil.rehearsal.carpc import probe, wifi
-from fsai_hil.rehearsal.stack import RunningProcess, holds_within
+from fsai_hil.rehearsal.stack import GO_AGAIN_S, RunningProcess, holds_within
 from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.diagnostics.doctor.collect import listening_sockets
@@ -43,7 +43,6 @@ MISSION = "trackdrive"
 MISSIONS_S = 400.0
 POWER_UP_S = 60.0
 EBS_ARMED_S = 5.0  # in AS_READY, before the car takes Go
-GO_AGAIN_S = 1.5
 OFF_S = 1.2  # no 0x520 for 1 s is a power cycle (safety rule 6)
 DRIVES_RPM = 60.0  # 1.6 m/s: driving is driving
 AT_EASE_S = 1.5  # so long after everything is back, nothing may set off
@@ -142,6 +141,9 @@ class Rehearsal:
         """What every change of the sources goes through."""
         self.booted()
         self.switch_car_on()
+        watch = self.watch("on")
+        watch.wait(lambda: watch.as_state is not None, POWER_UP_S)
+        watch.stop()
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
         self.scene(BRIDGE_KILLED.what, lambda: self.struck_in_a_drive(BRIDGE_KILLED))
@@ -331,10 +333,12 @@ class Rehearsal:
             car.type(f"ami {MISSION}")
             drives = watch.wait(lambda: watch.as_state is AsState.AS_READY, POWER_UP_S)
         drives = drives and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
-        until = time.monotonic() + POWER_UP_S
-        while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
-            car.type("go")
-            watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
+        if drives:
+
+            def started() -> bool:
+                return watch.as_state is not AsState.AS_READY
+
+            car.give_go(started, POWER_UP_S, lambda: watch.wait(started, GO_AGAIN_S))
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
         words = "" if drives else f"last seen {watch.as_state and watch.as_state.label}, {watch.fastest_rpm:g} rpm"
@@ -407,9 +411,8 @@ class Rehearsal:
     def struck(self, watch: BusWatch, strike: Strike) -> None:
         service = self.bridge if strike.service == "fsai-bridge" else strike.service
         before = main_pid(service)
-        struck_ns = time.time_ns()
         struck_s = time.monotonic()
-        os.kill((strike.of_loop and holder_pid(self.interface)) or before, strike.number)
+        struck_ns, late_ns = send_signal((strike.of_loop and holder_pid(self.interface)) or before, strike.number)
         back = watch.wait(lambda: self.anew(service, before), 40.0)
         back_s = time.monotonic() - struck_s if back else None
         watch.wait(lambda: watch.at_rest_in(strike.ends_in), 40.0)
@@ -417,20 +420,24 @@ class Rehearsal:
         if strike.first is not None:
             within_s += AT_REST_S  # the car is brought to rest before anything is started anew
         self.note(f"{strike.what}: back", back_s, within_s)
-        self.rested(watch, strike, struck_ns)
+        self.rested(watch, strike, struck_ns, late_ns / 1e9)
         if service == self.bridge:
             self.first_frame(watch)
 
-    def rested(self, watch: BusWatch, strike: Strike, struck_ns: int) -> None:
-        """The run has ended as it must, the car stands, and nothing sets off again."""
+    def rested(self, watch: BusWatch, strike: Strike, struck_ns: int, late_s: float = 0.0) -> None:
+        """The run has ended as it must, the car stands, and nothing sets off again.
+
+        late_s: how much later than `struck_ns` it was struck, at the latest.
+        """
         what, ends_in, first = strike.what, strike.ends_in, strike.first or strike.ends_in
         watch.wait(lambda: False, AT_EASE_S)
         states = [(t_ns, image.as_state) for t_ns, image in watch.images(VcuStatus, struck_ns)]
         over = [(t_ns - struck_ns, state) for t_ns, state in states if state is not AsState.AS_DRIVING]
         if strike is not UNPLUGGED:
-            self.note(f"{what}: the last torque", watch.torque_ends(struck_ns) / 1e9, strike.torque_s)
+            self.note(f"{what}: the last torque", watch.torque_ends(struck_ns) / 1e9, strike.torque_s + late_s)
             if first is AsState.EMERGENCY_BRAKE:
-                self.note(f"{what}: the car stops itself", over[0][0] / 1e9 if over else None, CAR_STOPS_ITSELF_S)
+                stopped_s = over[0][0] / 1e9 if over else None
+                self.note(f"{what}: the car stops itself", stopped_s, CAR_STOPS_ITSELF_S + late_s)
         self.note(f"{what}: at rest", in_s(watch.rests_after(struck_ns)), AT_REST_S)
         came = [state for _, state in over]
         stays = watch.as_state is ends_in and came[:1] == [first] and set(came) <= {first, ends_in}

@@ -36,7 +36,7 @@ MEMORY_SHARE: Final = 0.6  # of what is available: nobody is to be ended for wan
 MEMORY_MOST_BYTES: Final = 4 << 30
 VIEWERS: Final = 10
 BUSY: Final = "load: at work"
-_START_S = 30.0
+_START_S = 60.0
 _PIT_WALL_START_S = 120.0  # it imports ROS, on one slow processor
 _SIMULATED = (Flow.TO_VCU, Flow.FROM_VCU, Flow.FROM_SENSOR)
 

@@ -3,7 +3,8 @@
 - CSV (EUFS, FSDS): `tag,x,y[,direction,…]`, metres, x forward or east, y left or north. `tag` is blue (left border),
   yellow (right border), orange, big_orange (gates), unknown, or car_start, whose `direction` is the yaw in rad at the
   rear axle.
-- YAML of PacSim: `track` with the lists `left`, `right` and `unknown` of `position` and `class`, and the pose `start`.
+- YAML of PacSim: `track` with the lists `left`, `right` and `unknown` of `position` and `class`, and the pose `start`
+  of the centre of gravity.
 - YAML of fssim: lists of points `cones_left`, `cones_right`, `cones_orange`, `cones_orange_big`, and the pose
   `starting_pose_front_wing` or `starting_pose_cg`.
 
@@ -38,10 +39,8 @@ FSSIM_LISTS: Final = {
     "cones_orange": "orange",
     "cones_orange_big": "big_orange",
 }
-FSSIM_STARTS: Final = {
-    "starting_pose_front_wing": NOSE_M,
-    "starting_pose_cg": ADS_DV_2026.cog_ahead_of_rear_axle_m,
-}  # how far the pose is ahead of the rear axle, m
+COG_M: Final = ADS_DV_2026.cog_ahead_of_rear_axle_m
+FSSIM_STARTS: Final = {"starting_pose_front_wing": NOSE_M, "starting_pose_cg": COG_M}  # ahead of the rear axle, m
 
 Row = tuple[str, str, Sequence[Any]]  # where it stands, the tag, and x, y and perhaps the direction
 
@@ -126,7 +125,8 @@ def _pacsim_rows(track: Mapping[str, Any], source: str) -> Iterator[Row]:
         for number, cone in enumerate(track.get(side) or (), 1):
             yield f"{source}: {side} {number}", str(cone["class"]), [cone["position"][0], cone["position"][1]]
     if start := track.get("start"):
-        yield f"{source}: start", "car_start", [*(start["position"][i] for i in (0, 1)), start["orientation"][2]]
+        pose = [start["position"][0], start["position"][1], start["orientation"][2]]
+        yield _staged(pose, COG_M, f"{source}: start")
 
 
 def _fssim_rows(found: Mapping[str, Any], source: str) -> Iterator[Row]:
@@ -135,11 +135,14 @@ def _fssim_rows(found: Mapping[str, Any], source: str) -> Iterator[Row]:
             yield f"{source}: {name} {number}", tag, [point[0], point[1]]
     for name, ahead_m in FSSIM_STARTS.items():
         if pose := found.get(name):
-            at = f"{source}: {name}"
-            yaw_rad = _number(pose, 2, "direction", at)
-            x, y = Pose(_number(pose, 0, "x", at), _number(pose, 1, "y", at), yaw_rad).ahead(-ahead_m)
-            yield at, "car_start", (x, y, yaw_rad)
+            yield _staged(pose, ahead_m, f"{source}: {name}")
             return
+
+
+def _staged(pose: Sequence[Any], ahead_m: float, at: str) -> Row:
+    """The row of a car whose place (x, y, direction) is given so far ahead of its rear axle."""
+    x, y, yaw_rad = (_number(pose, column, name, at) for column, name in enumerate(("x", "y", "direction")))
+    return at, "car_start", (*Pose(x, y, yaw_rad).ahead(-ahead_m), yaw_rad)
 
 
 def _number(values: Sequence[Any], column: int, name: str, at: str) -> float:

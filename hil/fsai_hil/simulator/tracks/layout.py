@@ -29,7 +29,7 @@ SKIDPAD_CENTRES_APART_M: Final = 18.25
 SKIDPAD_STOP_M: Final = 25.0
 CIRCUIT_STOP_M: Final = 30.0
 STAGED_BEFORE_LINE_M: Final[Mapping[Ami, float]] = {
-    Ami.ACCELERATION: 0.30,
+    Ami.ACCELERATION: MissionSettings().acceleration_staging_m,
     Ami.SKIDPAD: 15.0,
     Ami.AUTOCROSS: MissionSettings().lap_staging_m,
     Ami.TRACKDRIVE: MissionSettings().lap_staging_m,

@@ -29,11 +29,11 @@ from fsai_hil.simulator.tracks.layout import (
 )
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
-from fsai_vcu.core.missions.laps import staged
+from fsai_vcu.core.missions.laps import GATE_DEPTH_M, gate_middle, staged
 from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
 
-GATE_M: Final = 8.0  # the cones of one gate stand no further apart along the lane
+GATE_M: Final = 8.0  # no two cones of one gate stand further apart, be it across the lane
 FAR_M: Final = 1000.0
 
 
@@ -70,7 +70,8 @@ def staged_before(track: Track) -> tuple[Track, str]:
     blue, yellow, big = (track.cones_xy_m[track.cone_colors == color] for color in by_color)
     if min(len(blue), len(yellow)) == 0:
         raise TrackError(f"{track.source}: no car_start, so nobody knows where the car begins and which way it points")
-    at = _nearest(big, big[0], GATE_M).mean(axis=0) if len(big) else (blue[0] + _nearest(yellow, blue[0])[0]) / 2.0
+    pair = _nearest(big, big[0], GATE_M) if len(big) else np.stack((blue[0], _nearest(yellow, blue[0])[0]))
+    at = pair.mean(axis=0)
     x, y = _nearest(blue, at)[:2].mean(axis=0) - _nearest(yellow, at)[:2].mean(axis=0)
     line = Pose(float(at[0]), float(at[1]), math.atan2(y, x) - math.pi / 2.0)
     if gates := _gates(track, Pose(*line.ahead(-FAR_M), line.yaw_rad)):  # of two gates the first one
@@ -110,18 +111,16 @@ def _staged_line(start: Pose) -> Pose:
 
 def _across(gate: Floats, axis: Pose) -> Pose:
     """The middle between a gate's left and its right cones, in the direction of the axis."""
-    left = axis.seen(*gate.T)[1] > 0.0
-    sides = [gate[left], gate[~left]] if left.any() and not left.all() else [gate]
-    x, y = np.mean([side.mean(axis=0) for side in sides], axis=0).tolist()
+    x, y = gate_middle(gate, axis.seen(*gate.T)[1] > 0.0).tolist()
     return Pose(x, y, axis.yaw_rad)
 
 
 def _gates(track: Track, start: Pose) -> list[Floats]:
-    """Big orange cones in groups no more than GATE_M apart along the starting direction: those in front of the car."""
+    """Groups of big orange cones, GATE_DEPTH_M apart along the starting direction or more: those before the car."""
     big = track.cones_xy_m[track.cone_colors == ConeColor.BIG_ORANGE]
     ahead_m = start.seen(*big.T)[0]
     order = np.argsort(ahead_m, kind="stable")
-    breaks = np.flatnonzero(np.diff(ahead_m[order]) >= GATE_M) + 1
+    breaks = np.flatnonzero(np.diff(ahead_m[order]) >= GATE_DEPTH_M) + 1
     return [big[group] for group in np.split(order, breaks) if len(group) and ahead_m[group[-1]] > 0.0]
 
 
