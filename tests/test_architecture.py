@@ -22,16 +22,18 @@ PACKAGES = {
 DIAGNOSTICS = "fsai_vcu.diagnostics"
 LEAN = "fsai_vcu.lean_can"
 LEAN_CANTOOLS = "fsai_vcu.lean_cantools"
+FILES = "fsai_vcu.files"
 ARROWS: dict[str, set[str]] = {
     "fsai_vcu": set(),
     LEAN: set(),
     LEAN_CANTOOLS: set(),
-    "fsai_vcu.interface": {LEAN_CANTOOLS},
+    FILES: set(),
+    "fsai_vcu.interface": {LEAN_CANTOOLS, FILES},
     "fsai_vcu.core": {"fsai_vcu.interface"},
-    "fsai_vcu.runtime": {"fsai_vcu.core", "fsai_vcu.interface", LEAN},
+    "fsai_vcu.runtime": {"fsai_vcu.core", "fsai_vcu.interface", LEAN, FILES},
     DIAGNOSTICS: set(),
-    f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime", LEAN},
-    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime", LEAN, FILES},
+    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", FILES},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
@@ -43,7 +45,7 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.recorder": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "export", "log")}
-    | {"fsai_vcu.interface", "fsai_vcu.runtime"},
+    | {"fsai_vcu.interface", "fsai_vcu.runtime", FILES},
     f"{DIAGNOSTICS}.monitor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics", "verdict")}
@@ -51,7 +53,7 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report")}
     | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.stack": {"fsai_vcu.core"},
-    "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", DIAGNOSTICS},
+    "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, DIAGNOSTICS},
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},
     "fsai_nodes.pitwall": {"fsai_nodes", "fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.monitor"},
     "fsai_nodes.recorder": {"fsai_nodes", "fsai_vcu.runtime", f"{DIAGNOSTICS}.export"},
@@ -67,7 +69,7 @@ ARROWS: dict[str, set[str]] = {
     "fsai_hil": set(),
     "fsai_hil.vcan": {"fsai_hil"},
     "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.log", f"{DIAGNOSTICS}.statistics"},
-    "fsai_hil.simulator": {"fsai_hil.rules", "fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime"},
+    "fsai_hil.simulator": {"fsai_hil.rules", "fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES},
     "fsai_hil.evidence": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_vcu"},
     "fsai_hil.rehearsal": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_hil.vcan", "fsai_vcu"},
     "fsai_hil.cli": {"fsai_hil", "fsai_vcu"},

@@ -25,6 +25,7 @@ from fsai_vcu.diagnostics.log.gvret import HEAD
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import LogError, Problems, open_log
 from fsai_vcu.diagnostics.recorder.segments import lost_while_recorded, lost_words
+from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -461,8 +462,11 @@ def _unfolded(name: str) -> list[str]:
 def _log_like(path: Path) -> bool:
     """By its name; of CSV files those of SavvyCAN, not every table."""
     if path.suffix == ".csv":
-        with path.open("rb") as file:
-            return file.read(len(HEAD)).lower() == HEAD.encode()
+        try:
+            with open_named(path) as file:
+                return file.read(len(HEAD)).lower() == HEAD.encode()
+        except OSError:
+            return False
     return bool(set(path.suffixes) & LOG_SUFFIXES)
 
 

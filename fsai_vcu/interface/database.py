@@ -15,10 +15,11 @@ import fsai_vcu.lean_cantools  # noqa: F401  # isort: skip
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
 
+from fsai_vcu.files import TABLE_BYTES, read_named
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
 
-_ENCODING = "cp1252"  # what the tools that write DBC files use
+ENCODING = "cp1252"  # what the tools that write DBC files use
 
 # The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
 # lost: half the signals of a message, or the line that says that a signal is a float. Without a semicolon only its line
@@ -51,7 +52,7 @@ def load_database(paths: Iterable[Path | str]) -> Database:
 def _load_one(path: Path) -> Database:
     database = Database(strict=True)
     try:
-        text = path.read_text(encoding=_ENCODING, errors="replace")
+        text = read_named(path, TABLE_BYTES, ENCODING, "replace")
         database.add_dbc_string(text)
     except FileNotFoundError:
         raise DatabaseError(f"{path}: no such DBC file") from None

@@ -8,6 +8,7 @@ import json
 import os
 import random
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,7 +22,7 @@ from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
+from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_while_recorded
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import S
@@ -260,6 +261,104 @@ def test_a_deleted_segment_is_followed_by_another(tmp_path: Path) -> None:
     rig.turn(received(10, 10))
     assert rig.reports == [f"{rig.path / 'can0-000001.log'} has been deleted; going on in a new one"]
     assert numbers(*rig.logs()) == list(range(10, 20))
+
+
+# ---------------------------------------------------------------- what others put into the folder
+
+
+def test_links_in_the_folder_lead_the_recorder_to_no_other_file(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    words = {
+        "lock": b"of root\n",
+        "torn": b"one\ntwo without end",
+        "sidecar": b"three",
+        "mcap": b"no mcap",
+        "hard": b"x",
+    }
+    for name, content in words.items():
+        (tmp_path / name).write_bytes(content)
+    (folder / ".can0.lock").symlink_to("../lock")
+    (folder / "can0-000004.mcap").hardlink_to(tmp_path / "hard")
+    (folder / "can0-000005.log").symlink_to("../torn")
+    (folder / "can0-000005.mcap").symlink_to("../mcap")
+    for name in ("can0-000006.json", "can0-000006.json.new", "can0-000007.log"):
+        (folder / name).symlink_to("../sidecar")
+    rig = Rig(folder, mcap=True)
+    rig.turn(received(10))
+    rig.recording.close(rig.now_ns)
+    assert {name: (tmp_path / name).read_bytes() for name in words} == words
+    assert numbers(folder / "can0-000008.log") == list(range(10))
+    assert rig.reports == [
+        f"{folder / 'can0-000007.log'} is left as it is: it is a link, not a file",
+        f"{folder / 'can0-000004.mcap'} is left as it is: it has another name elsewhere (a hard link)",
+        f"{folder / 'can0-000005.mcap'} is left as it is: it is a link, not a file",
+    ]
+
+
+def test_a_link_in_the_place_of_a_sidecar_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text("three")
+    rig = Rig(tmp_path / "run")
+    for name in ("can0-000001.json.new", "can0-000001.json"):
+        (rig.path / name).unlink(missing_ok=True)
+        (rig.path / name).symlink_to("../victim")
+    rig.turn(received(10))
+    rig.recording.close(rig.now_ns)
+    assert (tmp_path / "victim").read_text() == "three"
+    assert json.loads((rig.path / "can0-000001.json").read_text())["frames"] == 10
+
+
+@pytest.mark.parametrize("name", [".can0.lock", "can0-000001.log", "can0-000001.json", "can0-000001.mcap"])
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_a_pipe_or_a_folder_is_passed_over_where_a_file_was(
+    name: str, make: Callable[[Path], None], tmp_path: Path
+) -> None:
+    (tmp_path / "run").mkdir()
+    make(tmp_path / "run" / name)
+    if name == ".can0.lock" and make is os.mkdir:
+        with pytest.raises(IsADirectoryError):
+            Rig(tmp_path / "run")
+        return
+    rig = Rig(tmp_path / "run", Bounds(segment_bytes=10 * LINE_BYTES, total_bytes=30 * LINE_BYTES), mcap=False)
+    for turn in range(10):
+        rig.turn(received(10, 10 * turn))
+    assert not rig.recording.in_trouble
+    assert numbers(rig.logs()[-1]) == list(range(90, 100))
+
+
+@pytest.mark.parametrize("there", [[999_999], [999_998], [1, 999_999], [21, 22, 999_999]])
+def test_a_number_at_the_end_of_the_range_is_no_end_of_recording(there: list[int], tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for number in there:
+        (tmp_path / "run" / f"can0-{number:06d}.log").touch()
+    for run in range(4):
+        rig = Rig(tmp_path / "run")
+        rig.turn(received(10, 10 * run))
+        rig.recording.close(rig.now_ns)
+    written = [path for path in rig.logs() if path.stat().st_size]
+    assert sorted(numbers(*written)) == list(range(40))
+    oldest_first = rig.place.all_files(".log")
+    assert oldest_first[-1] == rig.place.file(".log")
+    assert numbers(*(path for path in oldest_first if path in written)) == list(range(40))
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        "[" * 50_000,
+        '{"lost_in_receive_buffer": ' + "9" * 5000 + "}",
+        '{"lost_in_receive_buffer": 1e999}',
+        "\0",
+        "7",
+        "[]",
+    ],
+)
+def test_a_wrong_sidecar_is_as_if_it_were_not_there(beside: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(beside)
+    assert lost_while_recorded(tmp_path / "run.log") == 0
+    (tmp_path / "run.json").unlink()
+    os.mkfifo(tmp_path / "run.json")
+    assert lost_while_recorded(tmp_path / "run.log") == 0
 
 
 # ---------------------------------------------------------------- a power cut

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
+from fsai_vcu.files import TABLE_BYTES, read_named
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
@@ -19,6 +20,7 @@ from fsai_vcu.interface.revisions import revision as revision_named
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
+_KINDS = ("arxml", "cdd", "dbc", "kcd", "sym")
 _MAX_PLAIN_BYTES = 8
 _INT64 = 1 << 63
 
@@ -98,14 +100,16 @@ def _load(path: Path) -> tuple[Database, bool]:
 
     Raises DatabaseError.
     """
-    from fsai_vcu.interface.database import DatabaseError, check_whole, make_flags_unsigned
+    from fsai_vcu.interface.database import ENCODING, DatabaseError, check_whole, make_flags_unsigned
 
     import cantools.database  # isort: skip  after ours, which see to it that it loads no more than it needs
     from cantools.database.can import Database  # isort: skip
 
     try:
-        text = path.read_text(encoding="cp1252", errors="replace")
-        loaded = cantools.database.load_file(path, strict=False)
+        kind = path.suffix.lower().removeprefix(".")
+        text = read_named(path, TABLE_BYTES, ENCODING if kind in ("dbc", "sym") else "utf-8", "replace")
+        # Without the cache that an environment variable can name: what it holds is unpickled.
+        loaded = cantools.database.load_string(text, kind if kind in _KINDS else None, strict=False)
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the parsers have no common base class for what a broken file makes them raise
@@ -115,7 +119,7 @@ def _load(path: Path) -> tuple[Database, bool]:
         raise DatabaseError(f"{path}: describes diagnostics, not messages")
     if not loaded.messages:
         raise DatabaseError(f"{path}: describes no message")
-    if path.suffix.lower() != ".dbc":
+    if kind != "dbc":
         return loaded, False
     check_whole(path, text)
     signed = ("AI2VCU_" in text or "VCU2AI_" in text) and any(

@@ -23,6 +23,7 @@ from fsai_vcu.diagnostics.log.candump import parse_block
 from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, read_lines, whole_line
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
+from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ class Log:
         """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""
         if self._path is None or not isinstance(self._stream, io.BufferedReader):
             return False  # of a packed log the unpacking tells
-        with self._path.open("rb") as file:
+        with open_named(self._path) as file:
             length = file.seek(0, io.SEEK_END)
             if self.kind in ("ASC", "TRC"):
                 file.seek(max(0, length - 1))
@@ -259,7 +260,7 @@ def open_log(path: Path | str) -> Log:
     if str(path) != STDIN:
         name, file = str(path), Path(path)
         try:
-            stream = file.open("rb")
+            stream = open_named(file, pipes=True)
         except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
             raise LogError(f"{path}: {_why(error)}") from error
     if _head(stream).startswith(_GZIP):

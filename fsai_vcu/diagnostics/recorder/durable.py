@@ -6,6 +6,8 @@ import contextlib
 import os
 from pathlib import Path
 
+from fsai_vcu.files import open_new
+
 
 class DurableFile:
     """What is written waits in memory until `push` has it on the disk.
@@ -17,7 +19,7 @@ class DurableFile:
     def __init__(self, path: Path) -> None:
         """A new file, in the folder's directory for good. Raises OSError, also where there is one already."""
         self.path = path
-        self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
+        self._descriptor = open_new(path)
         self._waiting = bytearray()
         self._safe = 0
         sync_folder(path.parent)
@@ -78,8 +80,9 @@ def sync_folder(folder: Path) -> None:
 def replace_durably(path: Path, text: str) -> None:
     """`path` has this text, or the one before, but never half of it. Raises OSError."""
     beside = path.with_name(path.name + ".new")
+    beside.unlink(missing_ok=True)  # of a power cut, or of somebody else
     try:
-        with beside.open("w", encoding="utf-8") as file:
+        with os.fdopen(open_new(beside), "w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

@@ -10,8 +10,8 @@ from __future__ import annotations
 import errno
 import json
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -133,12 +133,24 @@ class Recording:
         if place.single or not place.number:
             return
         log = place.file(".log")
-        if log.exists() and (cut := repair_text(log)):
-            self._report(f"{log} was cut off in its last line: {cut} bytes taken away")
+        with self._left_as_it_is(log):
+            if cut := repair_text(log):
+                self._report(f"{log} was cut off in its last line: {cut} bytes taken away")
         # A disk that was full can have left any of them without an end.
         for mcap in place.all_files(".mcap") if self._decoder is not None else ():
-            if (repaired := repair_mcap(mcap)) is not None:
-                self._report(f"{mcap} had no end: given one{f', {repaired} bytes taken away' if repaired else ''}")
+            with self._left_as_it_is(mcap):
+                if (repaired := repair_mcap(mcap)) is not None:
+                    self._report(f"{mcap} had no end: given one{f', {repaired} bytes taken away' if repaired else ''}")
+
+    @contextmanager
+    def _left_as_it_is(self, path: Path) -> Iterator[None]:
+        """What cannot be repaired, or is no file of a recorder, keeps no recording from beginning."""
+        try:
+            yield
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            self._report(f"{path} is left as it is: {error.strerror or error}")
 
     def _begin(self, now_ns: int) -> _Segment:
         place = self._place

@@ -7,6 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from fsai_vcu.files import open_found
+
 if TYPE_CHECKING:
     from mcap.records import Channel, Chunk, MessageIndex, Schema
 
@@ -16,8 +18,11 @@ _TAIL: Final = 1 << 16
 
 
 def repair_text(path: Path) -> int:
-    """Cut off a last line that is not whole, and what a file system may have put behind it. Returns bytes cut off."""
-    with path.open("r+b") as file:
+    """Cut off a last line that is not whole, and what a file system may have put behind it. Returns bytes cut off.
+
+    Raises OSError, also where it is no file of one name.
+    """
+    with open_found(path, write=True) as file:
         length = file.seek(0, os.SEEK_END)
         begin = max(0, length - _TAIL)
         file.seek(begin)
@@ -35,6 +40,8 @@ def repair_text(path: Path) -> int:
 def repair_mcap(path: Path) -> int | None:
     """Give an MCAP that ends anywhere its index and its end. Returns bytes cut off, None if it had them.
 
+    Raises OSError, also where it is no file of one name.
+
     Chunks are not written anew; messages are read only of the last one and of those that bring a new channel.
     """
     from mcap.data_stream import RecordBuilder
@@ -44,7 +51,7 @@ def repair_mcap(path: Path) -> int | None:
 
     from fsai_vcu.diagnostics.export.mcap_summary import Summary
 
-    with path.open("r+b") as file:
+    with open_found(path, write=True) as file:
         length = file.seek(0, os.SEEK_END)
         file.seek(max(0, length - len(MCAP0_MAGIC)))
         if length > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC:

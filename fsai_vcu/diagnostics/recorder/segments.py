@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 import re
 import shutil
+import stat
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
+from fsai_vcu.files import SETTINGS_BYTES, open_lock, read_found
 from fsai_vcu.interface.errors import UserError
 
 _DIGITS: Final = 6
 _KINDS: Final = (".log", ".mcap", ".json")
+_RANGE: Final = 10**_DIGITS - 1  # segments are numbered from 1 to it, and then from 1 again
+_MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
 LOST_HERE: Final = "lost_in_receive_buffer"
 """In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
@@ -29,9 +35,11 @@ def lost_words(frames: int) -> str:
 def lost_while_recorded(log: Path) -> int:
     """So many, by the file beside `log`; 0 where there is none that says so."""
     try:
-        return int(json.loads(Path(str(log).removesuffix(".gz")).with_suffix(".json").read_text())[LOST_HERE])
-    except (OSError, ValueError, LookupError, TypeError):
+        beside = Path(str(log).removesuffix(".gz")).with_suffix(".json")
+        lost = json.loads(read_found(beside, SETTINGS_BYTES))[LOST_HERE]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return 0
+    return lost if isinstance(lost, int) and 0 <= lost < _MOST_LOST else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +69,17 @@ class SegmentFolder:
         self.number = 0
         if self.single:
             for kind in _KINDS:
-                if self.file(kind).exists():
+                if os.path.lexists(self.file(kind)):
                     raise UserError(f"{self.file(kind)} is there already; name another file, or a folder to go on in")
         else:
             path.mkdir(parents=True, exist_ok=True)
-            self._lock = (path / f".{self._prefix}.lock").open("wb")
+            self._lock = open_lock(path / f".{self._prefix}.lock")
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 self._lock.close()
                 raise UserError(f"another program records '{self._prefix}' in {path} already") from error
-            self.number = max(self._segments(), default=0)
+            self.number = self._newest()
 
     @property
     def segment_bytes(self) -> int | None:
@@ -87,23 +95,37 @@ class SegmentFolder:
 
     def all_files(self, kind: str) -> list[Path]:
         """Of every segment, the oldest first."""
-        return sorted(path for _, path in self._files() if path.suffix == kind)
+        found = [(self._age(number), path) for number, path in self._files() if path.suffix == kind]
+        return [path for _, path in sorted(found, reverse=True)]
 
     def begin_segment(self) -> None:
-        """The next number is the one in hand."""
+        """The next number is the one in hand: of none is there anything."""
         if not self.single:
-            self.number = max(self.number, max(self._segments(), default=0)) + 1
+            self.number = self._newest() % _RANGE + 1
+
+    def _newest(self) -> int:
+        """The number behind which the largest gap begins, numbers going round; 0 where there is none.
+
+        A number far off, at the end of the range or beyond what was recorded, is thereby no end of recording.
+        """
+        taken = sorted({number for number, _ in self._files()} | {self.number} - {0})
+        behind = [*taken[1:], taken[0] + _RANGE] if taken else []
+        gaps = [later - number for number, later in zip(taken, behind, strict=True)]
+        if gaps and max(gaps) == 1:
+            raise OSError(f"all {_RANGE} numbers of segments are taken")
+        return taken[gaps.index(max(gaps))] if gaps else 0
 
     def delete(self, number: int | None = None) -> None:
         """All files of a segment: the one in hand, unless another is named."""
         for kind in _KINDS:
-            self.file(kind, number).unlink(missing_ok=True)
+            with suppress(IsADirectoryError):  # no file of a recorder
+                self.file(kind, number).unlink(missing_ok=True)
 
     def make_room(self, bytes_to_come: int) -> None:
         """Delete the oldest segments until there is room. Raises OSError where that is not enough."""
         folder = self.path.parent if self.single else self.path
         segments = {} if self.single else self._segments()
-        older = sorted(number for number in segments if number < self.number)
+        older = sorted((number for number in segments if number != self.number), key=self._age, reverse=True)
         total = sum(segments.values()) + bytes_to_come
         most = None if self.single else self.bounds.total_bytes
         wanted = self.bounds.keep_free_bytes + bytes_to_come
@@ -120,22 +142,27 @@ class SegmentFolder:
         if most is not None and total > most and len(segments) > 1:
             raise OSError(f"more than {most >> 20} MB in one segment")
 
+    def _age(self, number: int) -> int:
+        """How many numbers before the one in hand."""
+        return (self.number - number) % _RANGE
+
     def _segments(self) -> dict[int, int]:
-        """Bytes of each segment, by number."""
+        """Bytes of each segment, by number. What is no regular file is none of a segment."""
         found: dict[int, int] = {}
         for number, path in self._files():
             try:
-                size = path.stat().st_size
+                entry = path.lstat()
             except OSError:
                 continue  # deleted meanwhile
-            found[number] = found.get(number, 0) + size
+            if stat.S_ISREG(entry.st_mode):
+                found[number] = found.get(number, 0) + entry.st_size
         return found
 
     def _files(self) -> Iterator[tuple[int, Path]]:
         for path in self.path.iterdir():
             match = self._pattern.fullmatch(path.name)
-            if match:
-                yield int(match[1]), path
+            if match and (number := int(match[1])):
+                yield number, path
 
     def close(self) -> None:
         if self._lock is not None:

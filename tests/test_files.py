@@ -1,0 +1,111 @@
+"""What lies where others may write is opened only if it is what it is meant to be."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.files import open_found, open_lock, open_named, open_new, read_found, read_named
+
+WORDS = b"of somebody else\n"
+
+
+def _link(place: Path, victim: Path) -> None:
+    place.symlink_to(victim)
+
+
+def _hard_link(place: Path, victim: Path) -> None:
+    place.hardlink_to(victim)
+
+
+def _pipe(place: Path, victim: Path) -> None:
+    os.mkfifo(place)
+
+
+def _socket(place: Path, victim: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(str(place))
+
+
+def _device(place: Path, victim: Path) -> None:
+    place.symlink_to("/dev/zero")
+
+
+TRAPS: dict[str, Callable[[Path, Path], None]] = {
+    "a link": _link,
+    "a hard link": _hard_link,
+    "a pipe": _pipe,
+    "a socket": _socket,
+    "a link to a device": _device,
+}
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    path = tmp_path / "victim"
+    path.write_bytes(WORDS)
+    return path
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+def test_only_a_regular_file_of_one_name_is_opened_where_found(trap: str, tmp_path: Path, victim: Path) -> None:
+    place = tmp_path / "found"
+    TRAPS[trap](place, victim)
+    for write in (False, True):
+        with pytest.raises(OSError, match=r"it is a (link|pipe|socket)|a hard link"):
+            open_found(place, write=write)
+    with pytest.raises(OSError, match=r"it is|it has"):
+        read_found(place, 100)
+    with pytest.raises(FileExistsError):
+        open_new(place)
+    assert victim.read_bytes() == WORDS
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+def test_a_lock_takes_the_place_of_what_cannot_be_one(trap: str, tmp_path: Path, victim: Path) -> None:
+    place = tmp_path / ".lock"
+    TRAPS[trap](place, victim)
+    open_lock(place).close()
+    assert place.lstat().st_nlink == 1 and place.is_file() and not place.is_symlink()
+    assert victim.read_bytes() == WORDS
+    place.write_text("kept")
+    open_lock(place).close()
+    assert place.read_text() == "kept"
+
+
+def test_a_folder_in_the_place_of_a_lock_is_an_error_in_words(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError, match="Is a directory"):
+        open_lock(tmp_path)
+
+
+def test_a_new_file_is_not_made_behind_a_link_to_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "new").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(FileExistsError):
+        open_new(tmp_path / "new")
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_what_a_person_names_may_be_a_link_and_no_device(tmp_path: Path, victim: Path) -> None:
+    _link(tmp_path / "named", victim)
+    assert read_named(tmp_path / "named", 100) == WORDS.decode()
+    for path in ("/dev/zero", "/dev/null"):
+        with pytest.raises(OSError, match="it is a device, not a file"):
+            open_named(path, pipes=True)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="it is a pipe, not a file"):
+        open_named(tmp_path / "pipe")
+
+
+def test_no_more_is_read_than_was_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    for read in (read_named, read_found):
+        with pytest.raises(OSError, match="it is larger than 2 MiB"):
+            read(path, 2 << 20)
+    os.truncate(path, 64)
+    assert read_found(path, 64) == bytes(64)
