@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.recorder.recording import Recording
 from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_words
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
-from fsai_vcu.runtime.limits_file import read_limits
+from fsai_vcu.runtime.limits_file import limits_in, read_limits_text
 
 EXAMPLE = (
     "fsai-vcu record -i can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
@@ -201,17 +201,15 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
             "operational_limits": None,
         }
         if args.limits is not None:
-            content = args.limits.read_bytes()
+            content = read_limits_text(args.limits)
             about["operational_limits"] = {
-                "in_force": list(read_limits(args.limits).described()),
-                "content": content.decode(),
-                "sha256": hashlib.sha256(content).hexdigest(),
+                "in_force": list(limits_in(content, args.limits).described()),
+                "content": content,
+                "sha256": hashlib.sha256(content.encode()).hexdigest(),
                 "file": str(args.limits),
             }
     except ValueError as error:
         raise UserError(str(error)) from error
-    except OSError as error:
-        raise UserError(f"cannot read the operational limits {args.limits}: {error.strerror}") from error
     return about
 
 

@@ -22,16 +22,18 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.files import SETTINGS_BYTES, read_named
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.wheels import WHEELS, WheelMapping
 from fsai_vcu.runtime.limits_file import read_limits
-from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, words_of
 from fsai_vcu.runtime.transport import LOOPBACK, NETWORKS
 
 USUAL_PATH = Path("/etc/fsai/fsai.toml")
 SAME_AS_REVISION = "same_as_revision"
 BITRATE = 500_000  # interface specification v4.0: 500 kbit/s
+_SHORT = 60  # characters of a value in a sentence about it
 QUEUE_FRAMES = 10  # two cycles of commands; more would be stale before they left
 
 # What a text must look like, and the words for it. Services run in /, so a path that is not whole leads nowhere there.
@@ -85,10 +87,10 @@ class Key:
             return _mapping_problem(value)
         if isinstance(self.default, tuple):
             if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-                return f'must be a list of texts, such as ["/etc/fsai/car.dbc"], not {_shown(value)}'
+                return f'must be a list of texts, such as ["/etc/fsai/car.dbc"], not {_short(value)}'
             return next((problem for each in value if (problem := self._shape_problem(each))), None)
         if isinstance(self.default, bool):
-            return None if isinstance(value, bool) else f"must be true or false, not {_shown(value)}"
+            return None if isinstance(value, bool) else f"must be true or false, not {_short(value)}"
         if isinstance(self.default, str):
             return self._text_problem(value)
         return self._number_problem(value)
@@ -96,21 +98,21 @@ class Key:
     def _text_problem(self, value: object) -> str | None:
         if not isinstance(value, str):
             example = str(value) if str(value) in self.choices else self.choices[-1] if self.choices else self.default
-            return f'must be a text in quotes, such as "{example}", not {_shown(value)}'
+            return f'must be a text in quotes, such as "{example}", not {_short(value)}'
         if self.choices and value not in self.choices:
-            return f"must be one of {', '.join(self.choices)}, not {_shown(value)}{_nearest(value, self.choices)}"
+            return f"must be one of {', '.join(self.choices)}, not {_short(value)}{_nearest(value, self.choices)}"
         return self._shape_problem(value)
 
     def _shape_problem(self, value: str) -> str | None:
         if self.shape is None or re.fullmatch(self.shape[0], value, re.ASCII):
             return None
-        return f"must be {self.shape[1]}, not {_shown(value)}"
+        return f"must be {self.shape[1]}, not {_short(value)}"
 
     def _number_problem(self, value: object) -> str | None:
         whole = isinstance(self.default, int)
         kinds = (int,) if whole else (int, float)
         if isinstance(value, bool) or not isinstance(value, kinds):
-            return f"must be a {'whole ' if whole else ''}number, not {_shown(value)}"
+            return f"must be a {'whole ' if whole else ''}number, not {_short(value)}"
         if not math.isfinite(value):
             return f"must be a finite number, not {value}"
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:
@@ -291,7 +293,7 @@ def read_configuration(path: Path | str) -> Configuration:
     """The configuration in `path`, with the operational limits it names. Raises ConfigurationError."""
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_named(path, SETTINGS_BYTES)
     except PermissionError as error:
         who = "root and the group fsai may: sudo, or once: sudo usermod -aG fsai $USER, and log in again"
         raise ConfigurationError(
@@ -307,14 +309,17 @@ def read_configuration(path: Path | str) -> Configuration:
 def parse_configuration(text: str, path: Path) -> Configuration:
     """As `read_configuration`, of a text as if from `path`."""
     try:
-        document = tomllib.loads(text)
+        document = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError([_problem(path, line_of(error), f"not valid TOML: {words_of(error)}")]) from error
     problems: list[tuple[int, str]] = []
     values: dict[tuple[str, str], object] = {}
+    lines: TomlLines | None = None  # seldom needed
 
     def refuse(words: str, *place: str) -> None:
-        line = TomlLines(text).of(*place)
+        nonlocal lines
+        lines = lines or TomlLines(text)
+        line = lines.of(*place)
         problems.append((line or 0, _problem(path, line, words)))
 
     for table, content in document.items():
@@ -387,7 +392,7 @@ def _kept(key: Key, value: object) -> object:
 def _mapping_problem(value: object) -> str | None:
     example = '{ fl = "fr", fr = "fl" }'
     if not isinstance(value, dict):
-        return f"must be a table such as {example}, not {_shown(value)}"
+        return f"must be a table such as {example}, not {_short(value)}"
     for wheel in value:
         if wheel not in WHEELS:
             return f"names a wheel '{wheel}'; the wheels are {', '.join(WHEELS)}"
@@ -413,14 +418,20 @@ def _unknown_at_top(name: str, content: object) -> str:
     places = [key.spelt for key in KEYS if key.name == name]
     if places:
         return f"'{name}' stands outside of its table: it is {places[0]}"
-    near = difflib.get_close_matches(name, [key.name for key in KEYS], 1)
+    near = difflib.get_close_matches(name[:_SHORT], [key.name for key in KEYS], 1)
     hint = next(f"; did you mean {key.spelt}?" for key in KEYS if key.name == near[0]) if near else ""
     return f"there is no setting '{name}'{hint}"
 
 
 def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
-    near = difflib.get_close_matches(name.lower(), known, 1)
+    near = difflib.get_close_matches(name[:_SHORT].lower(), known, 1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def _short(value: object) -> str:
+    """A value that stands in a sentence about it."""
+    shown = _shown(value)
+    return shown if len(shown) <= 2 * _SHORT else f"{shown[:_SHORT]} …"
 
 
 def _shown(value: object) -> str:

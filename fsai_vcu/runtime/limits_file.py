@@ -11,19 +11,30 @@ import tomllib
 from pathlib import Path
 
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
-from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
+from fsai_vcu.files import SETTINGS_BYTES, read_named
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, words_of
 
 
 def read_limits(path: Path | str) -> OperationalLimits:
     """Raises LimitsError with one clear line that names the file, and the line in it."""
+    return limits_in(read_limits_text(path), path)
+
+
+def read_limits_text(path: Path | str) -> str:
+    """What stands in the file. Raises LimitsError."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise LimitsError(f"cannot read the operational limits {path}: {error.strerror}") from error
+        return read_named(path, SETTINGS_BYTES)
     except UnicodeDecodeError as error:
         raise LimitsError(f"the operational limits {path} are not a text file") from error
+    except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
+        why = getattr(error, "strerror", None) or error
+        raise LimitsError(f"cannot read the operational limits {path}: {why}") from error
+
+
+def limits_in(text: str, path: Path | str) -> OperationalLimits:
+    """As `read_limits`, of a text as if from `path`."""
     try:
-        mapping = tomllib.loads(text)
+        mapping = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         place = _place(line_of(error))
         raise LimitsError(f"the operational limits {path}{place} are not valid TOML: {words_of(error)}") from error

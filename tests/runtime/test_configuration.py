@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,7 @@ from fsai_vcu.runtime.toml_lines import TomlLines
 
 CHECKOUT = Path(__file__).parents[2]
 NAMED = Path("/etc/fsai/fsai.toml")
+A_LOOK_S = 20.0  # of the processor: a hundred times what a plain look takes; by powers of the length it is hours
 
 
 def parsed(text: str) -> Configuration:
@@ -139,6 +141,64 @@ def test_a_missing_file_or_one_that_is_no_text_is_refused(tmp_path: Path) -> Non
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigurationError, match="is not a text file"):
         read_configuration(tmp_path / "bytes.toml")
+
+
+def unusable() -> dict[str, str]:
+    """Texts that a small file can hold and a careless reader is lost in."""
+    return {
+        "deep lists": "x = " + "[" * 30_000 + "]" * 30_000,
+        "deep tables": "x = " + "{a = " * 10_000 + "1" + "}" * 10_000,
+        "a deep key": ".".join("a" * 30_000) + " = 1\n",
+        "a deep quoted key": '"a" . ' * 10_000 + "b = 1\n",
+        "digits": "x = " + "9" * 60_000,
+        "hexadecimal digits": "x = 0x" + "f" * 60_000,
+        "an open list": "x = [" + "1,\n" * 20_000,
+        "an open text": 'x = """' + "a\n" * 30_000,
+        "a time that is none": "x = 1979-02-30\n",
+    }
+
+
+@pytest.mark.parametrize("what", sorted(unusable()))
+def test_a_text_in_which_a_reader_is_lost_is_refused(what: str, tmp_path: Path) -> None:
+    path = tmp_path / "given.toml"
+    path.write_text(unusable()[what])
+    began_s = time.process_time()
+    with pytest.raises(ConfigurationError, match=r"given\.toml.*: not valid TOML: "):
+        read_configuration(path)
+    with pytest.raises(LimitsError, match=r"given\.toml.* not valid TOML: "):
+        read_limits(path)
+    assert time.process_time() - began_s < A_LOOK_S
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["".join(f"key{n} = 1\n" for n in range(5000)), "[can]\nrevision = [\n" + "'a',\n" * 10_000 + "]\n"],
+    ids=["many keys", "a long list"],
+)
+def test_the_lines_of_many_mistakes_are_found_in_one_look(text: str) -> None:
+    began_s = time.process_time()
+    found = problems(text)
+    assert time.process_time() - began_s < A_LOOK_S
+    assert all(len(problem) < 300 for problem in found)
+    assert f"line {2 if text.startswith('[') else 1}: " in found[0]
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/full"])
+def test_a_device_is_no_configuration_and_no_limits(path: str) -> None:
+    with pytest.raises(ConfigurationError, match="it is a device, not a file"):
+        read_configuration(path)
+    with pytest.raises(LimitsError, match=rf"cannot read the operational limits {path}: it is a device, not a file"):
+        read_limits(path)
+
+
+def test_a_pipe_and_a_large_file_are_no_limits(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LimitsError, match="it is a pipe, not a file"):
+        read_limits(tmp_path / "pipe")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(LimitsError, match="it is larger than 64 KiB"):
+        read_limits(tmp_path / "large")
 
 
 def test_an_empty_file_is_the_defaults_and_every_key_can_be_said() -> None:
