@@ -85,7 +85,7 @@ def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
     with ExitStack() as stack:
         if outgoing.is_of_the_ai:  # no bridge begins while another program speaks for the AI computer
-            stack.callback(InterfaceLock(args.interface).release)
+            stack.callback(InterfaceLock(args.interface, polite=True).release)
         bus = stack.enter_context(open_bus(args.interface, may_send={outgoing.frame.can_id}))
         sender = _Sender(bus, args, outgoing)
         try:
