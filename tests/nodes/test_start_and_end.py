@@ -47,6 +47,26 @@ def test_what_the_bridge_cannot_start_with_gets_one_clear_line() -> None:
     assert complaint(error_output) == ["vcu_bridge: parameter revision must be one of 2021, 2026, not '2019'"]
 
 
+@pytest.mark.parametrize("variable", ["ROS_LOG_DIR", "ROS_HOME", "HOME"])
+def test_without_a_place_for_log_files_a_node_starts_and_says_so(
+    variable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    for each in ("ROS_LOG_DIR", "ROS_HOME"):
+        monkeypatch.delenv(each, raising=False)
+    monkeypatch.setenv(variable, str(tmp_path / "file"))
+    process = start("path_planner")
+    assert process.stderr is not None
+    try:
+        line = next(line for line in process.stderr if "[INFO]" not in line)
+        assert "[WARN]" in line and "no log files of ROS: " in line and str(tmp_path) in line
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(LONG_S) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
 def test_an_occupied_truth_port_gets_one_clear_line() -> None:
     from fsai_hil.simulator.ground_truth import TruthReceiver
 

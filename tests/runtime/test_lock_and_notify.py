@@ -89,9 +89,7 @@ def held_by_a_stranger(spec: str, *, answers: bool) -> Iterator[int]:
 
 
 @pytest.mark.parametrize("answers", [True, False])
-def test_a_stranger_with_the_locks_name_keeps_no_bridge_out(
-    answers: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_stranger_with_the_locks_name_keeps_no_bridge_out(answers: bool, caplog: pytest.LogCaptureFixture) -> None:
     with held_by_a_stranger("test-stranger", answers=answers) as pid:
         lock = InterfaceLock("test-stranger")
         lock.answer_probes()

@@ -34,6 +34,7 @@ class Configured:
         except argparse.ArgumentError as error:
             raise NodeError(str(error)) from error
         self.lines: tuple[str, ...] = ()
+        self.writes_logs = "--disable-external-lib-logs" not in given  # files of ROS's own
         self.arguments = [program, *others, *given[split:]]
         if ours.config is None:
             if ours.interface is not None:
@@ -46,6 +47,7 @@ class Configured:
         os.environ.update(configuration.environment())
         found = configuration.parameters(ours.interface)
         wanted = found if node == "composed" else {"": found.get(node, {})}
+        self.writes_logs = False
         # The journal keeps what a node says; files of ROS's own beside it would grow without bound.
         quiet = ["--ros-args", "--disable-external-lib-logs", "--"]
         enclave = ["--ros-args", "--enclave", f"/fsai/{node}", "--"] if configuration.text("ros", "keystore") else []

@@ -7,7 +7,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryFile
 
 import rclpy
 import rclpy.logging
@@ -37,7 +39,9 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     try:
         configured = Configured(sys.argv if arguments is None else arguments, name)
         transport = set_transport(os.environ)
-        rclpy.init(args=configured.arguments, signal_handler_options=SignalHandlerOptions.NO)
+        no_files = log_trouble(os.environ)
+        quiet = ["--ros-args", "--disable-external-lib-logs", "--"] if no_files else []
+        rclpy.init(args=[*configured.arguments, *quiet], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # NodeError; and what a bad --ros-args raises has no class of its own
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return 1
@@ -57,6 +61,8 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
             executor.add_node(nodes[-1])
         for line in filter(None, (*configured.lines, transport)):
             nodes[0].get_logger().info(line)
+        if no_files and configured.writes_logs:
+            nodes[0].get_logger().warning(no_files)
         if not any(getattr(node, "tells_systemd", False) for node in nodes):
             _tell_systemd(nodes[0])
         while not stop_signals.received.is_set():
@@ -74,6 +80,19 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
             node.destroy_node()
         rclpy.try_shutdown()
     return status
+
+
+def log_trouble(environ: Mapping[str, str]) -> str:
+    """Why ROS cannot keep log files, in one line, or ''. It would not start at all for that."""
+    # As rcl_logging has it.
+    home = environ.get("ROS_HOME") or Path(environ.get("HOME", "/")) / ".ros"
+    folder = Path(environ.get("ROS_LOG_DIR") or Path(home) / "log").expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            return ""
+    except OSError as error:
+        return f"no log files of ROS: {folder} cannot be written: {error.strerror or error}"
 
 
 def _tell_systemd(node: Node) -> None:
