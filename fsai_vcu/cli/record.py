@@ -18,6 +18,7 @@ from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.ending import ending
 from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import Decoding, add_database_arguments
+from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.export.writing import check_format
 from fsai_vcu.diagnostics.log.live import Listener
 from fsai_vcu.diagnostics.recorder.recording import Recording
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for option, (default, metavar, words) in _BOUNDS.items():
         add(f"--{option.replace('_', '-')}", metavar=metavar, help=f"{words} (default: {default})")
     add("--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)")
+    add("--patient", action="store_true", help="try again every second where nothing can be written, as the service")
     add(
         "--limits",
         type=Path,
@@ -87,14 +89,10 @@ def run(args: argparse.Namespace) -> int:
     listener = Listener(args.interface, waits=True)
     listener.start()
     with closing(listener), ending() as asked:  # before there is a file: who sees one may ask for the end
-        try:
-            place = SegmentFolder(args.output, listener.name, bounds)
-            now_ns = time.monotonic_ns()
-            recording = Recording(
-                place, listener.name, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=now_ns
-            )
-        except OSError as error:
-            raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+        begun = _begun(args, listener.name, about, bounds, decoder, asked)
+        if begun is None:
+            return 1
+        place, recording = begun
         if topics is not None:
             topics.start()
         until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
@@ -105,6 +103,42 @@ def run(args: argparse.Namespace) -> int:
     recording.close(time.monotonic_ns())
     half = topics is not None and topics.error is not None
     return _result(args, listener, recording, place, stopped=signal.SIGTERM in asked) or int(half)
+
+
+def _begun(
+    args: argparse.Namespace,
+    bus: str,
+    about: dict[str, Any],
+    bounds: Bounds,
+    decoder: Decoder | None,
+    asked: list[int],
+) -> tuple[SegmentFolder, Recording] | None:
+    """What writes; None where the end was asked for before anything could be written. Raises UserError."""
+    told = False
+    while not asked:
+        try:
+            place = SegmentFolder(args.output, bus, bounds)
+            try:
+                now_ns = time.monotonic_ns()
+                recording = Recording(place, bus, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=now_ns)
+            except OSError:
+                place.close()
+                raise
+        except OSError as error:
+            why = f"cannot write {args.output}: {error.strerror or error}"
+            if not args.patient:
+                raise UserError(why) from error
+            if not told:
+                _say(f"{why}; trying again every second")
+            told = True
+            for _ in range(round(1 / _LOOK_S)):
+                if not asked:
+                    time.sleep(_LOOK_S)
+        else:
+            if told:
+                _say(f"writing in {args.output}")
+            return place, recording
+    return None
 
 
 def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, asked: list[int]) -> None:

@@ -31,6 +31,7 @@ def record_arguments(configuration: Configuration, interface: str) -> list[str]:
         interface,
         "-o",
         configuration.text("recording", "folder"),
+        "--patient",
         "--max-total",
         f"{configuration.text('recording', 'keep_mib')}M",
         "--keep-free",
