@@ -42,11 +42,10 @@ run() {
   "$@"
 }
 
-# attempt WORDS...: run a function up to its first command that fails; its output goes to the log.
+# attempt WORDS...: run a function up to its first command that fails; its output goes to the log, its exit status to
+# $status. Never a condition itself: within one a shell goes on after an error.
 attempt() {
-  local status
   : >"$scratch/command"
-  # Not as a condition: there a shell does not end at its first error.
   set +e
   (
     set -e
@@ -54,7 +53,6 @@ attempt() {
   ) >"$scratch/log" 2>&1
   status=$?
   set -e
-  return "$status"
 }
 
 # Lines of the log which say what is wrong, with what follows each; if none does, the last ones.
