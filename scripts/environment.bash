@@ -38,7 +38,7 @@ find_python() {
 
 # run WORDS...: a command that is named should it fail.
 run() {
-  printf '%q ' "$@" >"$scratch/command"
+  printf '%s\n' "$*" >"$scratch/command"
   "$@"
 }
 
