@@ -375,11 +375,30 @@ def _speeds() -> Iterator[tuple[str, str, str]]:
     yield "0x520 answered, every check made", slower, link
 
 
+def machines() -> str:
+    """What `make fresh-machine` has tried, a line for each trial."""
+    rows = json.loads(_read("fresh-machines.json"))
+    return _table(
+        ("a machine that had nothing", "tried there", "result"),
+        (
+            (
+                f"{row['system']}, {row['python']}",
+                row["what"],
+                (f"passed: {', '.join(f'{done} {took} s' for done, took in row['took_s'].items())}")
+                if row["passed"]
+                else f"**failed**: {row['failed']}",
+            )
+            for row in rows
+        ),
+    )
+
+
 def targets() -> str:
     """What the Makefile says of the targets that show something."""
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     part = text[text.index("##@ Is it safe?") : text.index("##@ For others")]
     found = [("test", text), *((name, part) for name in re.findall(r"^([a-z-]+):.*## ", part, re.MULTILINE))]
+    found += [("fresh-machine", text)]
     rows = ((f"`make {name}`", *_found(rf"(?m)^{name}:.*## (.*)$", where)) for name, where in found)
     return _table(("command", "what it does"), rows)
 
@@ -422,7 +441,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
         *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
-        *(keys, parameters, topics, services, figures, targets, hazards),
+        *(keys, parameters, topics, services, figures, machines, targets, hazards),
     )
 }
 

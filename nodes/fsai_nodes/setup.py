@@ -26,7 +26,6 @@ setup(
     version="0.1.0",
     description="The ROS 2 nodes between cone detections and the ADS-DV's VCU",
     license="MIT",
-    python_requires=">=3.11",
     packages=[NAME],
     package_data={NAME: ["*.urdf"]},
     data_files=[
