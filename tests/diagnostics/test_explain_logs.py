@@ -171,7 +171,7 @@ def test_every_shutdown_cause_has_its_row_or_what_led_to_it(cause: ShutdownCause
     assert f"SHUTDOWN_CAUSE {cause.label}" in first.steps[-1].words
 
 
-@pytest.mark.parametrize("bit", Faults.__slots__)
+@pytest.mark.parametrize("bit", Faults.__struct_fields__)
 def test_every_fault_bit_is_enough_where_the_cause_is_not_sent(bit: str) -> None:
     first = tell(OtherStack().braked(faults=Faults(**{bit: True}))).incidents[0].candidates[0]
     assert first.sureness is Sureness.SAID

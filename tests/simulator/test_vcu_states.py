@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from typing import Any
 
 import pytest
+from msgspec.structs import fields, replace
 from vcu_bench import Bench
 
 from fsai_hil.simulator.as_machine import AI_FAULTS, CAR_FAULTS, Situation, taken, transition_table
