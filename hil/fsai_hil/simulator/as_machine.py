@@ -12,8 +12,9 @@ Source: the vehicle's interface specification v4.0 and the documents of 2026.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any, Final
+
+from msgspec import Struct
 
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
@@ -22,8 +23,7 @@ from fsai_vcu.interface.specification import READY_STEER_DEG, STANDING_RPM
 from fsai_vcu.interface.values import Value
 
 
-@dataclass(slots=True)
-class Situation:
+class Situation(Struct):
     """What the state machine sees at one instant. The defaults are a car at rest with everything switched off."""
 
     # people

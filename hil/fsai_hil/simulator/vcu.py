@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter, itemgetter
@@ -672,7 +671,7 @@ BUILDERS: Final[Mapping[str, Callable[[SimulatedVcu, int], Image]]] = MappingPro
 )
 
 SEEN_OF_THE_SWITCHES: Final = tuple(
-    field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
+    name for name in Situation.__struct_fields__ if name in SWITCH_NAMES and name != "go"
 )
 
 _seen_of: Final = attrgetter(*SEEN_OF_THE_SWITCHES)
