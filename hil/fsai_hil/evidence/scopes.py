@@ -250,12 +250,13 @@ def all_scopes() -> tuple[Scope, ...]:
         ),
         _scope(
             "marks",
-            "switches, SHUTDOWN_REQUEST, fault bits and SHUTDOWN_CAUSE in 0x520 while FAULT_STATUS stays 0: there "
-            "since before the run, and turning in AS_DRIVING, each and all of them",
+            "switches, SHUTDOWN_REQUEST, fault bits, SHUTDOWN_CAUSE and states of FAULT in 0x520 while FAULT_STATUS "
+            "stays 0: there since before the run, and turning in AS_DRIVING, each and all of them; the AMI turned",
             [replace(_WELL, marks=_EVERY_MARK), replace(GO, marks=_EVERY_MARK), replace(_WELL, marks=_EACH_MARK[3])],
             [
                 *_over(_DRIVES, marks=[NOBODY, _EVERY_MARK, *_EACH_MARK, _EVERY_MARK - _EACH_MARK[3]]),
                 replace(GO, marks=_EACH_MARK[0]),
+                *_over(_DRIVES, ami=[Ami.ACCELERATION, Ami.NOT_SELECTED]),
             ],
         ),
         _scope(

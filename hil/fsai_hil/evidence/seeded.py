@@ -220,6 +220,8 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
             _reported(Reason.AS_STATE_UNKNOWN)
             + _given(bridge, "gate", vehicle=lambda a: replace(a.vehicle, status_known=True)),
         ),
+        "torque returns with the first AS_STATE that is known": ("messages", _config(as_state_known_ns=0)),
+        "an AS_STATE is known again 1 ns early": ("messages", _config(as_state_known_ns=100 * MS - 1)),
         "a lost bus does not break the sequence": (
             "trouble",
             _wrapped(supervisor, "bus_lost", lambda original, config, state, *rest: state),
@@ -306,6 +308,12 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
         "SHUTDOWN_REQUEST that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_REQUESTED)),
         "a fault bit that rises is only reported": ("marks", _reported(Reason.FAULT_BIT)),
         "a SHUTDOWN_CAUSE that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_CAUSE)),
+        "a state that becomes FAULT is only reported": ("marks", _reported(Reason.STATE_FAULT)),
+        "an AMI_STATE that changes is only reported": ("marks", _reported(Reason.AMI_CHANGED)),
+        "commands on old data are held for ever": (
+            "commands",
+            _given(supervisor, "_command_age_ns", state=lambda a: replace(a.state, command_stale_since_ns=None)),
+        ),
         "one fault bit hides the others": (
             "marks",
             _given(bridge, "changes", now=lambda a: _first_bit_alone(a.now, a.before)),
@@ -325,7 +333,7 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
     "output table": {
         "what has been shown since before the run stops it": (
             "marks",
-            _given(bridge, "changes", before=lambda _: _NOTHING_SHOWN),
+            _given(bridge, "changes", before=lambda a: replace(_NOTHING_SHOWN, ami=a.now.ami)),
         ),
         "a stop without the brake": ("run", _output(Phase.STOPPING, brake=Brake.ZERO)),
         "a stop by the motors without the motors": ("official simulator", _output(Phase.STOPPING, brake=Brake.ZERO)),
