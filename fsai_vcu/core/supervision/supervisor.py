@@ -257,7 +257,8 @@ class SupervisorState(Immutable):
     status_ns: int | None = None  # the last 0x520 that was believed
     received_ns: int | None = None  # the last 0x520 of any content
     was_silent: bool = False  # a power cycle's silence lies before the next believed 0x520
-    known_since_ns: int | None = None  # since when each 0x520 has been believed; None: the newest is not
+    doubted: bool = False  # the newest 0x520 is not believed
+    known_again_ns: int | None = None  # the first one believed after that
     sequence: Sequence = Sequence.NONE
     ready_since_ns: int | None = None
     ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
@@ -331,7 +332,7 @@ class Decision(Immutable):
 
 def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
     """A frame of 0x520 came that is not believed: the car is switched on, and its state is not known."""
-    return replace(state, received_ns=t_ns, was_silent=_was_silent(config, state, t_ns), known_since_ns=None)
+    return replace(state, received_ns=t_ns, was_silent=_was_silent(config, state, t_ns), doubted=True)
 
 
 def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
@@ -372,7 +373,8 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
         status_ns=t_ns,
         received_ns=t_ns,
         was_silent=False,
-        known_since_ns=t_ns if state.known_since_ns is None else state.known_since_ns,
+        doubted=False,
+        known_again_ns=t_ns if state.doubted else state.known_again_ns,
         sequence=sequence,
         ready_since_ns=ready_since_ns,
         ready_waited_ns=waited_ns,
@@ -655,10 +657,11 @@ def _ages(
     running = state.stop is None
 
     found.append((Reason.VCU_SILENT, now_ns - state.status_ns, ""))
-    known_ns = 0 if state.known_since_ns is None else now_ns - state.known_since_ns
-    if known_ns < config.as_state_known_ns:
-        doubt = inputs.status_doubt or f"known again for {known_ns / 1e6:.0f} ms"
-        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, doubt))
+    if state.doubted:
+        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, inputs.status_doubt))
+    elif state.known_again_ns is not None and now_ns - state.known_again_ns < config.as_state_known_ns:
+        known_ms = (now_ns - state.known_again_ns) / 1e6
+        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, f"known again for {known_ms:.0f} ms"))
     if running and (lack := _unprepared(config, state)) is not None:
         found.append((lack[0], _AT_ONCE_NS, lack[1]))
     if not state.go:

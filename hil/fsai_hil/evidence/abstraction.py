@@ -82,7 +82,7 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
     return {
         "status_ns": vcu,
         "received_ns": (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns),
-        "known_since_ns": (c.as_state_known_ns,),
+        "known_again_ns": (c.as_state_known_ns,),
         "ready_since_ns": (c.ready_wait_ns,),
         "driving_since_ns": (
             c.launch_wait_ns,
