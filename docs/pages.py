@@ -401,6 +401,7 @@ def _hazards() -> Iterator[str]:
                 *(f"- **Prevented by** {measure}" for measure in one["prevented_by"]),
                 *(f"- **Rule** {rule}: {RULES[rule]}" for rule in one["rules"]),
                 f"- **Tests** {', '.join(f'`{test}`' for test in one['tests'])}",
+                *(f"- **Evidence** {figure}" for figure in (one.get("figure"),) if figure),
                 f"- **Evidence** {_campaign([rows[fault] for fault in one['faults']], one['faults'])}",
             )
         )

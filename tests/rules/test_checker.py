@@ -680,7 +680,9 @@ def test_the_rule_is_kept_and_broken(rule: str, what: str, start: Make, keeps: E
     assert rule in ended_by(start, breaks).rules
 
 
-@pytest.mark.parametrize(("cycles", "data_ms", "broken"), [(30, 600, []), (31, 600, ["output table", "modes"]), (31, 499, [])])
+@pytest.mark.parametrize(
+    ("cycles", "data_ms", "broken"), [(30, 600, []), (31, 600, ["output table", "modes"]), (31, 499, [])]
+)
 def test_commands_on_old_data_are_lost_after_300_ms(cycles: int, data_ms: int, broken: list[str]) -> None:
     sender = Fed().driving().cycle(drive(), 3).has(data_ms=data_ms)
     assert sender.cycle(RUNNING, cycles).rules == broken

@@ -167,8 +167,14 @@ def all_scopes() -> tuple[Scope, ...]:
         _run(),
         _scope(
             "confirmations",
-            "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none",
-            [*_over(_WELL, **_CONFIRMED), *_over(GO, **_CONFIRMED), replace(GO, asms=False)],
+            "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none, of "
+            "another run",
+            [
+                *_over(_WELL, **_CONFIRMED),
+                *_over(GO, **_CONFIRMED),
+                *_over(_WELL, ami=[Ami.TRACKDRIVE, Ami.ACCELERATION], confirm=[NOBODY, _PLANNER], confirm_other=[BOTH]),
+                replace(GO, asms=False),
+            ],
             (_DRIVES, replace(_DRIVES, ami=Ami.ACCELERATION, confirm=NOBODY)),
         ),
         _scope(

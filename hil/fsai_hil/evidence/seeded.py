@@ -6,6 +6,7 @@ could make in a table, a time or a function of supervisor, gate or bridge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import astuple, dataclass, replace
@@ -133,6 +134,10 @@ def _cut_short_counts(original: Callable[..., Any], instance: Any, complete: boo
         instance.state = replace(state, supervisor=selected, gate=replace(state.gate, acknowledged_run_id=run_id))
 
 
+def _rounded_up(limit_nm: float | None, share: float) -> float:
+    return 0.0 if limit_nm is None else math.ceil(limit_nm * share * 10.0 - 1e-9) / 10.0
+
+
 def _first_bit_alone(now: VcuStatus, before: VcuStatus) -> VcuStatus:
     """Where a fault bit is shown already, no other rises."""
     return replace(now, faults=before.faults) if any(astuple(before.faults)) else now
@@ -248,12 +253,17 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
             _given(gating, "_axle_limit_nm", now_ns=lambda a: a.axle.t_rx_ns if a.axle else a.now_ns),
         ),
         "no constant-power steps": ("limits", _always(gating, "constant_power_nm", 195.0)),
+        "a torque share is rounded up": ("commands", ((gating, "_share_nm", _rounded_up),)),
         "the operational speed limit is forgotten": ("run", _always(gating, "motor_rpm", 4000)),
     },
     "5": {
         "FORWARD in AS_READY": ("run", _output(Phase.READY, direction=Direction.FORWARD)),
         "RUNNING in AS_OFF": ("run", _output(Phase.IDLE, mission_status=MissionStatus.RUNNING)),
         "SELECTED whatever the mode": ("run", _always(supervisor, "acknowledged", True)),
+        "a reset that is confirmed for another run counts": (
+            "confirmations",
+            _given(supervisor, "confirm", run_id=lambda a: a.state.run_id),
+        ),
         "SELECTED before the resets are confirmed": (
             "run",
             _given(supervisor, "acknowledged", state=lambda a: replace(a.state, confirmed=frozenset(supervisor.ROLES))),
