@@ -215,6 +215,7 @@ def driving() -> str:
 _TO_DO: Final = {
     Reason.BOTH_PEDALS: "have the controller send throttle or brake, the other one 0",
     Reason.BACKLOG: "look what kept the processor busy (`fsai-vcu doctor`: scheduling)",
+    Reason.OTHER_REVISION: "set `[can] revision` to the car's; else look for a second car, a replay or a gateway",
     Reason.NOT_CONFIRMED: "start planner and controller before AS_READY; each confirms every new `run_id`",
     Reason.STACK_RESTARTED: "look in its log why it ended; the next run begins in AS_OFF",
     Reason.COMMAND_REFUSED: "`fsai-vcu check-stack` names the field, or the clock that is ahead",
@@ -419,6 +420,7 @@ def _hazards() -> Iterator[str]:
                 *(f"- **Prevented by** {measure}" for measure in one["prevented_by"]),
                 *(f"- **Rule** {rule}: {RULES[rule]}" for rule in one["rules"]),
                 f"- **Tests** {', '.join(f'`{test}`' for test in one['tests'])}",
+                *(f"- **Evidence** {figure}" for figure in (one.get("figure"),) if figure),
                 f"- **Evidence** {_campaign([rows[fault] for fault in one['faults']], one['faults'])}",
             )
         )

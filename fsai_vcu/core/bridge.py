@@ -205,7 +205,7 @@ class Bridge:
     def _on_revision(self, frame: Frame) -> None:
         found = revision_by_frame(frame.can_id, frame.data)
         if found is not None:
-            self.tally.on_revision(*found, self._codec.revision.name)
+            self.tally.on_revision(*found, self._codec.revision.name, frame.t_ns)
 
     def _on_intruder(self, frame: Frame) -> None:
         if self._config.listen_only:

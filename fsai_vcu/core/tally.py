@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Decision
 from fsai_vcu.interface.specification import READY_WAIT_NS
+from fsai_vcu.interface.units import S
 
-_OTHER_REVISION_FROM = 10  # frames in a row: interface specification v4.0 counts a loss in tens as well
+_OTHER_REVISION_FROM = 10  # frames: interface specification v4.0 counts a loss in tens as well
+_OTHER_REVISION_PAUSE_NS = 1 * S  # after which they count anew
 _PROBLEMS_KEPT = 100  # distinct texts: a fuzzed bus must not fill the memory
 _OTHER_PROBLEMS = "other problems"
 
@@ -25,7 +27,8 @@ class Tally:
     rx: Counter[int] = field(default_factory=Counter)
     intruders: dict[int, tuple[int, str]] = field(default_factory=dict)  # by id: when last received, and with what
     other_revision: str = ""
-    other_revision_frames: int = 0  # in a row
+    other_revision_frames: int = 0  # without a pause
+    other_revision_ns: int = 0  # the last of them
     cycles: int = 0
     incomplete_cycles: int = 0
     vcu_gaps: int = 0
@@ -54,15 +57,20 @@ class Tally:
             problem = _OTHER_PROBLEMS
         self.problems[problem] += 1
 
-    def on_revision(self, received: str, means: str, ours: str) -> None:
-        """A frame that only revision `received` sends: another than ours is believed when it comes again and again."""
+    def on_revision(self, received: str, means: str, ours: str, t_ns: int) -> None:
+        """A frame that only revision `received` sends: another than ours is named when it comes again and again,
+        also among those of ours.
+        """
         if received == ours:
-            self.other_revision_frames = 0
             return
+        if t_ns - self.other_revision_ns >= _OTHER_REVISION_PAUSE_NS:
+            self.other_revision_frames = 0
         self.other_revision_frames += 1
+        self.other_revision_ns = t_ns
         if self.other_revision_frames == _OTHER_REVISION_FROM:
             self.other_revision = f"the car speaks interface revision {received} ({means}), this bridge {ours}"
             self.problem(self.other_revision)
+            self.note(Reason.OTHER_REVISION, self.other_revision)
 
     def answered(self, now_ns: int) -> None:
         """A cycle was made, which answers every 0x520 before it."""
@@ -75,11 +83,7 @@ class Tally:
     def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
         """What should not be on the bus, in words."""
         # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
-        wrong = [
-            f"an intruder sends on our ids: {words}"
-            for t_ns, words in self.intruders.values()
-            if now_ns - t_ns < READY_WAIT_NS
-        ]
+        found = [(t_ns, f"an intruder sends on our ids: {words}") for t_ns, words in self.intruders.values()]
         if self.other_revision_frames >= _OTHER_REVISION_FROM:
-            wrong.append(self.other_revision)
-        return tuple(wrong)
+            found.append((self.other_revision_ns, self.other_revision))
+        return tuple(words for t_ns, words in found if now_ns - t_ns < READY_WAIT_NS)

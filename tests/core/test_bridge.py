@@ -16,7 +16,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause, TsState
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
     AiCommand,
@@ -293,10 +293,16 @@ EDGES: list[tuple[dict[str, Any], str, str]] = [
     ({"shutdown_request": True}, "shutdown_requested", ""),
     ({"faults": Faults(hvil_open=True)}, "fault_bit", "HVIL_OPEN_FAULT"),
     ({"shutdown_cause": ShutdownCause.EBS_FAULT}, "shutdown_cause", "EBS_FAULT"),
+    ({"ebs_state": EbsState.EBS_FAULT}, "state_fault", "EBS_STATE"),
+    ({"ts_state": TsState.TS_FAULT, "op_state": OpState.OP_FAULT}, "state_fault", "TS_STATE, OP_STATE"),
+]
+AMI_TURNED: list[tuple[dict[str, Any], str, str]] = [
+    ({"ami": Ami.SKIDPAD}, "ami_changed", "TRACKDRIVE to SKIDPAD"),
+    ({"ami": Ami.NOT_SELECTED}, "ami_changed", "TRACKDRIVE to NOT_SELECTED"),
 ]
 
 
-@pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
+@pytest.mark.parametrize(("change", "slug", "detail"), EDGES + AMI_TURNED)
 def test_what_changes_in_as_driving_stops_the_car(change: dict[str, Any], slug: str, detail: str) -> None:
     rig = driven()
     before, since_ns = rig.status, rig.now_ns + CYCLE
@@ -337,8 +343,81 @@ def test_an_unknown_as_state_takes_torque_away_at_once() -> None:
     assert not rig.sent.torque_requested and rig.report.reasons == ("as_state_unknown",)
     assert "AS_STATE 15" in rig.report.reason_details["as_state_unknown"]
     assert not rig.report.vehicle.status_known
-    rig.step(3)
+    known_ns = rig.now_ns + CYCLE
+    rig.run_ms(150)
+    assert rig.latency_ns(known_ns, lambda asked: asked.torque_requested) == 100 * MS
     assert rig.sent.torque_requested and rig.report.reasons == () and rig.report.stopping is None
+
+
+def test_an_as_state_that_flickers_gives_no_torque() -> None:
+    rig = driven()
+
+    def flicker(rig: Rig) -> None:
+        if rig.now_ns // CYCLE % 2:
+            unknown_state(rig)
+
+    rig.alive = flicker
+    rig.step(2)
+    since_ns = rig.now_ns
+    rig.run_ms(1000)
+    assert not any(asked.torque_requested for t_ns, asked in rig.log if t_ns > since_ns)
+    assert rig.report.reason_counts == {"as_state_unknown": 1} and rig.report.emergency is None
+
+
+@pytest.mark.parametrize("raw", [5, 9, 15])
+@pytest.mark.parametrize(("name", "byte", "shift"), [("OP_STATE", 0, 4), ("TS_STATE", 3, 4), ("EBS_STATE", 4, 4)])
+def test_a_state_of_fault_or_of_no_table_stops_the_car(name: str, byte: int, shift: int, raw: int) -> None:
+    rig = driven()
+    rig.now_ns += CYCLE
+    rig.speak()
+    data = bytearray(rig.codec.encode(rig.status).data)
+    data[byte] = data[byte] & ~(0xF << shift) | raw << shift
+    rig.receive(Frame(0x520, bytes(data), rig.now_ns))
+    rig.cycle()
+    assert not rig.sent.torque_requested
+    assert rig.report.stopping is not None and rig.report.stopping.endswith(f"FAULT in AS_DRIVING: {name}")
+
+
+def test_an_ami_of_no_table_counts_as_none() -> None:
+    rig = driven()
+    rig.now_ns += CYCLE
+    rig.speak()
+    data = bytearray(rig.codec.encode(rig.status).data)
+    data[2] = data[2] & 0x0F | 12 << 4
+    rig.receive(Frame(0x520, bytes(data), rig.now_ns))
+    assert rig.report.stopping is not None and rig.report.stopping.endswith("TRACKDRIVE to NOT_SELECTED")
+
+
+def test_a_vcu_that_never_sets_its_states_is_not_stopped() -> None:
+    """The official simulator leaves OP_STATE, TS_STATE and EBS_STATE at 0."""
+    rig = Rig()
+    rig.status = replace(rig.status, op_state=OpState.OP_INIT, ts_state=TsState.TS_INIT, ebs_state=EbsState.EBS_INIT)
+    rig.driving()
+    rig.run_ms(1000)
+    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
+
+
+@pytest.mark.parametrize(("data_ms", "drives"), [(400, True), (499, True), (500, False), (690, False)])
+def test_a_command_ages_from_when_it_came_and_its_data_from_their_stamp(data_ms: int, drives: bool) -> None:
+    """Data of 400 ms are no command of 400 ms."""
+    rig = driven()
+    asks, rig.command = rig.command, None
+    assert asks is not None
+
+    def on_data(rig: Rig) -> None:
+        stamp_ns = rig.now_ns - data_ms * MS
+        assert (
+            rig.bridge.on_command(replace(asks, t_sensor_ns=stamp_ns, run_id=rig.bridge.run.run_id), rig.now_ns) == ()
+        )
+
+    rig.alive = on_data
+    since_ns = rig.now_ns + CYCLE
+    rig.run_ms(1000)
+    if drives:
+        assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
+    else:
+        assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == 300 * MS
+        assert rig.report.mode == "manual" and f"{data_ms} ms old" in (rig.report.stopping or "")
 
 
 def test_a_mission_never_sent_whole_is_not_acknowledged() -> None:
@@ -436,7 +515,7 @@ def plain_status(as_state: AsState, t_ns: int) -> Frame:
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
-def test_another_revision_is_named_from_its_tenth_frame_to_ours(ours: str, theirs: str) -> None:
+def test_another_revision_is_named_from_its_tenth_frame_on(ours: str, theirs: str) -> None:
     bridge, words = bridge_of(ours), f"the car speaks interface revision {theirs}"
 
     def said(t_ns: int) -> bool:
@@ -447,17 +526,40 @@ def test_another_revision_is_named_from_its_tenth_frame_to_ours(ours: str, their
         bridge.on_frame(telling_of(theirs, frame * CYCLE))
         bridge.on_frame(plain_status(READY, frame * CYCLE))
     assert said(10 * CYCLE) and f"this bridge {ours}" in " ".join(bridge.report(10 * CYCLE).problem_counts)
-    bridge.on_frame(telling_of(ours, 11 * CYCLE))
-    assert not said(11 * CYCLE)
+    assert bridge.report(10 * CYCLE).reason_counts == {"other_revision": 1}, "and in the log"
+    for n in range(11, 500):
+        bridge.on_frame(telling_of(ours, n * CYCLE))
+    assert said(10 * CYCLE + 5 * S - 1) and not said(10 * CYCLE + 5 * S)
+
+
+@pytest.mark.parametrize("pause_ns", [1 * S - 1, 1 * S])
+def test_frames_of_another_revision_count_anew_after_a_pause_of_1_s(pause_ns: int) -> None:
+    bridge = bridge_of("2026")
+    for n in range(9):
+        bridge.on_frame(telling_of("2021", n * CYCLE))
+    bridge.on_frame(telling_of("2021", 8 * CYCLE + pause_ns))
+    assert bridge.report(10 * S).reason_counts == ({"other_revision": 1} if pause_ns < S else {})
+
+
+def test_another_revision_that_begins_in_mid_run_beside_the_car_is_logged() -> None:
+    rig = driven()
+    rig.alive = lambda rig: rig.bridge.on_frame(telling_of("2021", rig.now_ns))
+    rig.run_ms(90)
+    assert dict(rig.report.reason_counts) == {}
+    rig.run_ms(10)
+    assert rig.report.reason_counts == {"other_revision": 1}
+    assert rig.report.reason_details["other_revision"].startswith("the car speaks interface revision 2021")
+    rig.run_ms(1000)
+    assert rig.sent.torque_requested and rig.report.reason_counts == {"other_revision": 1}
 
 
 @pytest.mark.parametrize("ours", ["2021", "2026"])
 def test_what_either_revision_may_say_names_none(ours: str) -> None:
-    """States that are 0, nine frames of another revision among ours, and frames of another length."""
+    """States that are 0, nine frames of another revision, and frames of another length."""
     bridge, other = bridge_of(ours), bridge_of("2026")
     theirs = "2021" if ours == "2026" else "2026"
     for n in range(1, 100):
-        bridge.on_frame(telling_of(ours if n % 10 == 0 else theirs, n * CYCLE))
+        bridge.on_frame(telling_of(theirs if n < 10 else ours, n * CYCLE))
         bridge.on_frame(plain_status(READY if n < 50 else DRIVING, n * CYCLE + 1))
         for can_id in (0x120, 0x520):
             for data in (bytes(7), b""):

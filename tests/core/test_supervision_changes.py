@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.supervision.changes import changes
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.interface.enums import ShutdownCause
+from fsai_vcu.interface.enums import Ami, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults, VcuStatus
 
 WELL = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
@@ -58,12 +58,58 @@ def test_a_shutdown_cause_outside_the_table_is_one_too() -> None:
     assert changes(odd, odd) == changes(odd, WELL) == []
 
 
+STATES: list[tuple[str, type[EbsState | TsState | OpState], int]] = [
+    ("ebs_state", EbsState, EbsState.EBS_FAULT),
+    ("ts_state", TsState, TsState.TS_FAULT),
+    ("op_state", OpState, OpState.OP_FAULT),
+]
+
+
+@pytest.mark.parametrize(("field", "kind", "fault"), STATES)
+def test_a_state_that_becomes_fault_is_named(field: str, kind: Any, fault: int) -> None:
+    odd = replace(WELL, **{field: fault})
+    for sound in (*(state for state in kind if state is not fault), None):
+        before = replace(WELL, **{field: sound})
+        assert changes(before, odd) == [(Reason.STATE_FAULT, field.upper())]
+        assert changes(odd, before) == changes(before, before) == []
+    assert changes(odd, odd) == []
+
+
+@pytest.mark.parametrize(("field", "kind", "fault"), STATES)
+def test_states_that_become_anything_else_say_nothing(field: str, kind: Any, fault: int) -> None:
+    """The official simulator leaves them 0, and a car of 2021 has none."""
+    for before in kind:
+        for now in (*(state for state in kind if state is not fault), None):
+            assert changes(replace(WELL, **{field: before}), replace(WELL, **{field: now})) == []
+
+
+def test_states_that_become_fault_together_are_named_together() -> None:
+    before = replace(WELL, ts_state=TsState.TS_FAULT)
+    now = replace(before, ebs_state=EbsState.EBS_FAULT, op_state=OpState.OP_FAULT)
+    assert changes(before, now) == [(Reason.STATE_FAULT, "EBS_STATE, OP_STATE")]
+
+
+@pytest.mark.parametrize("before", Ami)
+@pytest.mark.parametrize("now", Ami)
+def test_an_ami_that_turns_to_another_mission_or_none_is_named(before: Ami, now: Ami) -> None:
+    turned = [] if before is now else [(Reason.AMI_CHANGED, f"{before.label} to {now.label}")]
+    assert changes(replace(WELL, ami=before), replace(WELL, ami=now)) == turned
+
+
 def test_edges_that_come_together_are_all_told() -> None:
-    odd = VcuStatus(shutdown_request=True, faults=Faults(bms=True), shutdown_cause=ShutdownCause.BMS_FAULT)
+    odd = VcuStatus(
+        shutdown_request=True,
+        faults=Faults(bms=True),
+        shutdown_cause=ShutdownCause.BMS_FAULT,
+        ts_state=TsState.TS_FAULT,
+        ami=Ami.SKIDPAD,
+    )
     assert [reason for reason, _ in changes(WELL, odd)] == [
         Reason.AS_SWITCH_OFF,
         Reason.TS_SWITCH_OFF,
         Reason.SHUTDOWN_REQUESTED,
         Reason.FAULT_BIT,
         Reason.SHUTDOWN_CAUSE,
+        Reason.STATE_FAULT,
+        Reason.AMI_CHANGED,
     ]

@@ -74,7 +74,7 @@ def test_what_the_controller_reports_is_told_in_as_driving() -> None:
 
 NOW = 1000 * S
 BOTH = frozenset(ROLES)
-NO_COMMAND = "no fresh command from the controller, or 0x520 is late: torque is held at 0"
+NO_COMMAND = "no fresh command from the controller, or 0x520 is late or not known: torque is held at 0"
 
 
 def answer(

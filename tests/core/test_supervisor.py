@@ -752,12 +752,70 @@ def test_feedback_never_received_is_an_emergency_once_supervised(name: str) -> N
         assert decide(*driving(LAUNCH + after_ns, **{name: None})).phase is phase
 
 
+def on_data(age_ns: int, at_ns: int, situation: Situation) -> Situation:
+    """A command has just come, its data are `age_ns` old, and everything else is fresh."""
+    return refreshed(situation, at_ns, t_sensor_ns=at_ns - age_ns)
+
+
+@pytest.mark.parametrize("data_ns", [500 * MS, 600 * MS, 699 * MS])
+def test_commands_on_old_data_end_the_drive_after_300_ms_however_often_they_come(data_ns: int) -> None:
+    situation, decision = cycle(on_data(data_ns, NOW, driving()))
+    assert (decision.phase, decision.reasons) == (Phase.HOLDING, {Reason.COMMAND_STALE})
+    for after_ns in (*range(10 * MS, 300 * MS, 10 * MS), 300 * MS - 1):
+        situation, decision = cycle(on_data(data_ns, NOW + after_ns, situation))
+        assert decision.phase is Phase.HOLDING
+    (state, _), decision = cycle(on_data(data_ns, NOW + 300 * MS, situation))
+    assert (decision.phase, state.mode) == (Phase.STOPPING, Mode.MANUAL)
+    assert state.stop is not None and state.stop.cause is Reason.COMMAND_STALE
+    assert "the data behind them is" in state.stop.detail
+
+
+def test_old_data_count_anew_after_a_command_on_fresh_data() -> None:
+    situation, _ = cycle(on_data(600 * MS, NOW, driving()))
+    situation, decision = cycle(on_data(500 * MS - 1, NOW + 290 * MS, situation))
+    assert decision.phase is Phase.DRIVING
+    situation, _ = cycle(on_data(600 * MS, NOW + 300 * MS, situation))
+    assert decide(*on_data(600 * MS, NOW + 600 * MS - 1, situation)).phase is Phase.HOLDING
+    assert decide(*on_data(600 * MS, NOW + 600 * MS, situation)).phase is Phase.STOPPING
+
+
+def test_old_data_of_the_last_run_do_not_count_in_the_next() -> None:
+    (state, _), _ = cycle(on_data(600 * MS, NOW, driving()))
+    assert receive(state, DRIVING, NOW).command_stale_since_ns == NOW
+    assert receive(state, FINISHED, NOW).command_stale_since_ns is None
+
+
+def doubted(state: SupervisorState, t_ns: int) -> SupervisorState:
+    return supervisor.received(CONFIG, state, t_ns)
+
+
 @pytest.mark.parametrize("age_ns", [0, 49 * MS])
 def test_an_unknown_as_state_takes_torque_away_at_once(age_ns: int) -> None:
     doubt = "AS_STATE 9 is not in the interface's table"
-    (after, inputs), decision = cycle(driving(status_ns=NOW - age_ns, status_doubt=doubt))
+    state, inputs = driving(status_ns=NOW - age_ns, status_doubt=doubt)
+    (after, _), decision = cycle((doubted(state, NOW), inputs))
     assert (decision.phase, dict(decision.details)) == (Phase.HOLDING, {Reason.AS_STATE_UNKNOWN: doubt})
-    assert after.stop is None and decide(after, replace(inputs, status_doubt="")).phase is Phase.DRIVING
+    assert after.stop is None and after.emergency is None
+
+
+def test_torque_returns_after_100_ms_of_known_as_states() -> None:
+    state, inputs = driving()
+    known = receive(doubted(state, NOW), DRIVING, NOW + 10 * MS)
+    for after_ns, phase in ((10 * MS, Phase.HOLDING), (110 * MS - 1, Phase.HOLDING), (110 * MS, Phase.DRIVING)):
+        decision = decide(*refreshed((known, inputs), NOW + after_ns))
+        assert decision.phase is phase
+        assert decision.reasons == (set() if phase is Phase.DRIVING else {Reason.AS_STATE_UNKNOWN})
+    words = dict(decide(*refreshed((known, inputs), NOW + 60 * MS)).details)
+    assert words == {Reason.AS_STATE_UNKNOWN: "known again for 50 ms"}
+
+
+def test_an_as_state_that_flickers_gives_no_torque_for_as_long_as_it_does() -> None:
+    state, inputs = driving()
+    for after_ns in range(0, 2000 * MS, 20 * MS):
+        state = receive(doubted(state, NOW + after_ns), DRIVING, NOW + after_ns + 10 * MS)
+        assert decide(*refreshed((state, inputs), NOW + after_ns + 10 * MS)).phase is Phase.HOLDING
+    state = receive(state, DRIVING, NOW + 2 * S)  # what was known before goes on being counted
+    assert decide(*refreshed((state, inputs), NOW + 2 * S - 10 * MS + 100 * MS)).phase is Phase.DRIVING
 
 
 @pytest.mark.parametrize(("throttle", "brake", "both"), [(0.5, 0.1, True), (0, 0.5, False), (0.5, 0, False)])
@@ -819,6 +877,8 @@ def test_the_car_stopping_itself_stops_the_torque_at_once(changes: dict[str, boo
         (Reason.SHUTDOWN_REQUESTED, Consequence.STOP),
         (Reason.FAULT_BIT, Consequence.STOP),
         (Reason.SHUTDOWN_CAUSE, Consequence.STOP),
+        (Reason.STATE_FAULT, Consequence.STOP),
+        (Reason.AMI_CHANGED, Consequence.STOP),
         (Reason.BACKLOG, Consequence.REPORT),
     ],
 )
@@ -966,6 +1026,8 @@ STEERED = {
     Reason.SHUTDOWN_REQUESTED,
     Reason.FAULT_BIT,
     Reason.SHUTDOWN_CAUSE,
+    Reason.STATE_FAULT,
+    Reason.AMI_CHANGED,
 }
 
 

@@ -13,7 +13,7 @@ from story_runs import Act, Run, branch, driving, off, parked, ready, tell
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import Drop, FrameFault, Freeze, WrongLength, WrongValues
 from fsai_vcu.diagnostics.explain import IncidentKind
-from fsai_vcu.interface.enums import Ami, Direction
+from fsai_vcu.interface.enums import Ami, Direction, EbsState
 from fsai_vcu.interface.enums import MissionStatus as Status
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
@@ -66,6 +66,16 @@ def mission(status: Status) -> Act:
 
 def car_drops(*ids: int) -> Act:
     return lambda run: run.lockstep.world.vcu.outgoing.faults.append(Drop(frozenset(ids)))
+
+
+def car_says(**values: object) -> Act:
+    """In 0x520."""
+
+    def act(run: Run) -> None:
+        vcu = run.lockstep.world.vcu
+        vcu.outgoing.faults.append(WrongValues(frozenset({0x520}), run.lockstep.world.codec, values))
+
+    return act
 
 
 def car_is_silent_for_300_ms(run: Run) -> None:
@@ -269,6 +279,9 @@ ENDS = [
     End("the controller falls silent", driving, silent_controller, "command_stale", P, seconds=3.0, near_ns=EDGES),
     End("the planner falls silent", driving, silent_planner, "command_stale", P, seconds=4.0, near_ns=(0, 600 * MS)),
     End("manual while driving", driving, manual, "stop_asked", P, seconds=3.0, near_ns=(0, EDGE)),
+    End("EBS_STATE becomes FAULT", driving, car_says(ebs_state=EbsState.EBS_FAULT), "state_fault", P, seconds=3.0),
+    End("the AMI is turned", driving, switch(ami=Ami.SKIDPAD), "ami_changed", P, seconds=3.0),
+    End("AMI_STATE becomes none", driving, car_says(ami=Ami.NOT_SELECTED), "ami_changed", P, seconds=3.0),
     # ---- the official simulator
     End("simulator: a brake is asked for", simulator, brake_alone, "brake_request_simulator"),
     End("simulator: ASMS off", simulator, switch(asms=False), "asms_off", A, seconds=0.5),

@@ -40,9 +40,10 @@ ONE_CAR = [*SHORT, "--missions", "acceleration", "--revisions", "2026"]
 def test_faults_of_a_sample_end_as_the_safety_rules_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The short form of the campaign, of each sort of fault some: `make campaign` has every kind.
 
-    On the car of 2021, which has them all; each mission and car costs drives to its beginning.
+    On the car of 2021, which has nearly all; each mission and car costs drives to its beginning.
     """
-    kinds = [kind.name for kind in ROWS[::EACH] if Ami.ACCELERATION in kind.missions]  # alike faults stand together
+    possible = [kind for kind in ROWS if Ami.ACCELERATION in kind.missions and "2021" in kind.revisions]
+    kinds = [kind.name for kind in possible[::EACH]]  # alike faults stand together
     chosen = ["--missions", "acceleration", "--runs", str(len(kinds)), "--faults", ",".join(kinds)]
     status = main(["campaign", *SHORT, "--revisions", "2021", "--jobs", "1", "--out", str(tmp_path), *chosen])
     printed = capsys.readouterr().out

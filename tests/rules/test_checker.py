@@ -18,7 +18,7 @@ from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.diagnostics.log.reader import LogError
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
     AiCommand,
@@ -161,6 +161,7 @@ class Fed(Sender):
         super().__init__(process=Process(**process))
         self.command: VehicleCommand | None = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
         self.mode = "manual"
+        self.data_ms = 0  # the age of what is behind each command
         for role in ("planner", "controller"):
             self.cycle(IDLE, 20, frames=0)
             self.checker.on_confirmed(role)
@@ -185,7 +186,7 @@ class Fed(Sender):
 
     def says(self, command: AiCommand, frames: int = 5) -> None:
         if self.command is not None:
-            self.plans()
+            self.plans(age_ms=self.data_ms)
         self.checker.before_cycle(self.now_ns)
         if frames:
             self.checker.on_sending()
@@ -227,11 +228,15 @@ def deaf(sender: Any, kind: type, cycles: int, then: AiCommand) -> Any:
     return sender.driving().cycle(drive(), 3).has(mute=(kind,)).cycle(then, cycles)
 
 
-def unknown(sender: Any, as_state: int) -> Any:
-    sender.driving().cycle(drive()).now_ns += 10 * MS
+def unknown(sender: Any, as_state: int, said: AiCommand | None = None) -> Any:
+    return unknown_now(sender.driving().cycle(drive()), as_state, said)
+
+
+def unknown_now(sender: Any, as_state: int, said: AiCommand | None = None) -> Any:
+    sender.now_ns += 10 * MS
     frame = CODEC.encode(replace(sender.status, t_rx_ns=sender.now_ns))
     sender.puts(replace(frame, data=frame.data[:2] + bytes((0x40 | as_state,)) + frame.data[3:]))
-    return sender.cycle(drive(), car=False)
+    return sender.cycle(said or drive(), car=False)
 
 
 def venue() -> Any:
@@ -401,6 +406,11 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         lambda: Sender().driving().cycle(drive()), then.cycle(drive(), 4, car=False), then.cycle(drive(), 5, car=False)
     ),
     Case("2", "an AS_STATE of the table").of(Sender, lambda s: unknown(s, 3), lambda s: unknown(s, 15)),
+    Case("2", "100 ms of known AS states after one that is none").of(
+        lambda: unknown(Sender(), 15, RUNNING),
+        then.cycle(RUNNING, 10).cycle(drive()),
+        then.cycle(RUNNING, 9).cycle(drive()),
+    ),
     Case("2", "FORWARD").of(driving, drive(), replace(drive(), direction=Direction.REVERSE)),
     Case("2", "no emergency").of(driving, drive(), replace(drive(), estop_request=True)),
     Case("2", "a mission").of(
@@ -643,6 +653,10 @@ CASES: list[tuple[str, str, Make, End, End]] = [
             ("shutdown_request", True),
             ("faults", Faults(ebs=True)),
             ("shutdown_cause", ShutdownCause.EBS_FAULT),
+            ("ebs_state", EbsState.EBS_FAULT),
+            ("ts_state", TsState.TS_FAULT),
+            ("op_state", OpState.OP_FAULT),
+            ("ami", Ami.SKIDPAD),
         )
     ),
     *(
@@ -664,6 +678,23 @@ CASES: list[tuple[str, str, Make, End, End]] = [
 def test_the_rule_is_kept_and_broken(rule: str, what: str, start: Make, keeps: End, breaks: End) -> None:
     assert ended_by(start, keeps).checker.violations == []
     assert rule in ended_by(start, breaks).rules
+
+
+@pytest.mark.parametrize(
+    ("cycles", "data_ms", "broken"), [(30, 600, []), (31, 600, ["output table", "modes"]), (31, 499, [])]
+)
+def test_commands_on_old_data_are_lost_after_300_ms(cycles: int, data_ms: int, broken: list[str]) -> None:
+    sender = Fed().driving().cycle(drive(), 3).has(data_ms=data_ms)
+    assert sender.cycle(RUNNING, cycles).rules == broken
+
+
+def test_a_log_with_an_as_state_that_flickers_shows_torque_in_it() -> None:
+    """What a sender may not have seen yet does not excuse what it has seen before."""
+    sender = logged()
+    for _ in range(5):
+        unknown_now(sender, 15, RUNNING).cycle(drive())
+    assert "2" in judged(sender)
+    assert judged(unknown_now(logged(), 15, drive())) == []
 
 
 def test_each_rule_has_a_case() -> None:

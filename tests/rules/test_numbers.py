@@ -23,6 +23,7 @@ def test_the_bridge_has_the_times_of_the_evidence() -> None:
         (config.stop_timeout_ns, numbers.STOP_TIMEOUT_NS),
         (config.vcu_stale_ns, numbers.STATUS_FRESH_NS),
         (config.vcu_lost_ns, numbers.STATUS_LOST_NS),
+        (config.as_state_known_ns, numbers.AS_STATE_KNOWN_NS),
         (config.feedback_stale_ns, numbers.FEEDBACK_STALE_NS),
         (config.feedback_stale_ns, numbers.SPEEDS_FRESH_NS),
         (config.feedback_lost_ns, numbers.FEEDBACK_LOST_NS),

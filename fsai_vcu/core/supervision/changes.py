@@ -1,13 +1,20 @@
 """What 0x520 must not change while the car drives, though FAULT_STATUS stays 0.
 
-Edges only: a bit that this VCU never sets, or that was set before AS_DRIVING, says nothing.
+Edges only: what this VCU never sets, or what was so before AS_DRIVING, says nothing.
 """
 
 from __future__ import annotations
 
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.interface.enums import ShutdownCause
+from fsai_vcu.interface.enums import EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.messages import VcuStatus
+
+_STATES = (
+    ("EBS_STATE", "ebs_state", EbsState.EBS_FAULT),
+    ("TS_STATE", "ts_state", TsState.TS_FAULT),
+    ("OP_STATE", "op_state", OpState.OP_FAULT),
+)
+"""Of 0x520 (2026). A value that no table knows is decoded as the fault."""
 
 
 def changes(before: VcuStatus, now: VcuStatus) -> list[tuple[Reason, str]]:
@@ -26,4 +33,9 @@ def changes(before: VcuStatus, now: VcuStatus) -> list[tuple[Reason, str]]:
     if before.shutdown_cause is ShutdownCause.NO_SHUTDOWN and now.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:
         cause = now.shutdown_cause
         found.append((Reason.SHUTDOWN_CAUSE, "a value that no table knows" if cause is None else cause.label))
+    states = [name for name, field, fault in _STATES if getattr(now, field) is fault is not getattr(before, field)]
+    if states:
+        found.append((Reason.STATE_FAULT, ", ".join(states)))
+    if now.ami is not before.ami:
+        found.append((Reason.AMI_CHANGED, f"{before.ami.label} to {now.ami.label}"))
     return found

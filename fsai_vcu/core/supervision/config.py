@@ -47,6 +47,7 @@ class BridgeConfig(Value, frozen=True):
     # What the car says
     vcu_stale_ns: int = 50 * MS
     vcu_lost_ns: int = COMMS_LOST_NS
+    as_state_known_ns: int = 100 * MS  # so long known again before torque returns: a state that flickers gives none
     feedback_stale_ns: int = 100 * MS  # wheel speeds, steering feedback, torque limits
     feedback_lost_ns: int = 300 * MS
     implausible_ns: int = 300 * MS

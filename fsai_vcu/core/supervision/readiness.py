@@ -161,5 +161,5 @@ def _in_state(
     if left_ns > 0:
         unmet.append(f"standing still after AS_DRIVING: {left_ns / 1e9:.1f} s of 3 s left")
     elif state.stop is None and state.emergency is None:
-        unmet.append("no fresh command from the controller, or 0x520 is late: torque is held at 0")
+        unmet.append("no fresh command from the controller, or 0x520 is late or not known: torque is held at 0")
     return unmet

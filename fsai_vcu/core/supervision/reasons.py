@@ -32,16 +32,22 @@ class Reason(Enum):
     WHEEL_IMPLAUSIBLE = "wheel_implausible", "one wheel speed does not fit the other three"
     GO_OFF = "go_off", "GO_SIGNAL is 0 in AS_DRIVING: the car is stopping itself"
     FAULT_STATUS = "fault_status", "FAULT_STATUS is 1 in AS_DRIVING: the car is stopping itself"
-    AS_STATE_UNKNOWN = "as_state_unknown", "the last 0x520 has no AS_STATE that is known"
+    AS_STATE_UNKNOWN = (
+        "as_state_unknown",
+        "0x520 has no AS_STATE that is known, or has not had one for 100 ms again",
+    )
     AS_SWITCH_OFF = "as_switch_off", "AS_SWITCH_STATUS fell to 0 in AS_DRIVING: ASMS was switched off"
     TS_SWITCH_OFF = "ts_switch_off", "TS_SWITCH_STATUS fell to 0 in AS_DRIVING: TSMS was switched off"
     SHUTDOWN_REQUESTED = "shutdown_requested", "SHUTDOWN_REQUEST rose in AS_DRIVING: the car is about to switch off"
     FAULT_BIT = "fault_bit", "a fault bit of 0x520 rose in AS_DRIVING"
     SHUTDOWN_CAUSE = "shutdown_cause", "SHUTDOWN_CAUSE rose from 0 in AS_DRIVING"
+    STATE_FAULT = "state_fault", "EBS_STATE, TS_STATE or OP_STATE became FAULT in AS_DRIVING"
+    AMI_CHANGED = "ami_changed", "AMI_STATE changed in AS_DRIVING: another mission than this run's, or none"
     INTRUDER = "intruder", "somebody else sends on the AI computer's ids 0x510 to 0x514"
     LOOP_FAULT = "loop_fault", "the loop failed or missed its deadline by 50 ms"
     BUS_LOST = "bus_lost", "the bus was lost"
     BACKLOG = "backlog", "frames of the car waited 20 ms or more before they were read"
+    OTHER_REVISION = "other_revision", "frames of another interface revision are received"
     NOT_SEEN = "not_seen", "AS_DRIVING, but this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another"
     SEQUENCE_SHORT = "sequence_short", "AS_DRIVING did not follow 5 s in AS_READY and a Go that came after them"
     NO_MISSION = "no_mission", "AS_DRIVING, but no mission was acknowledged in this run"

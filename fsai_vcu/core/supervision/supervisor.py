@@ -167,6 +167,8 @@ CHANGES = (
     Reason.SHUTDOWN_REQUESTED,
     Reason.FAULT_BIT,
     Reason.SHUTDOWN_CAUSE,
+    Reason.STATE_FAULT,
+    Reason.AMI_CHANGED,
 )
 """What 0x520 must not change in AS_DRIVING though FAULT_STATUS stays 0 (see `changes`)."""
 
@@ -253,6 +255,8 @@ class SupervisorState(Value, frozen=True):
     status_ns: int | None = None  # the last 0x520 that was believed
     received_ns: int | None = None  # the last 0x520 of any content
     was_silent: bool = False  # a power cycle's silence lies before the next believed 0x520
+    doubted: bool = False  # the newest 0x520 is not believed
+    known_again_ns: int | None = None  # the first one believed after that
     sequence: Sequence = Sequence.NONE
     ready_since_ns: int | None = None
     ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
@@ -278,6 +282,7 @@ class SupervisorState(Value, frozen=True):
     stop_window_ns: int = 0  # where the window began over which a deceleration must show
     stop_window_rpm: int | None = None  # None: not measured yet
     both_pedals_since_ns: int | None = None
+    command_stale_since_ns: int | None = None  # the first cycle without a fresh command; None: the last one had one
 
     @property
     def is_confirmed(self) -> bool:
@@ -322,8 +327,8 @@ class Decision(Value, frozen=True):
 
 
 def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
-    """A frame of 0x520 came, whatever is in it: the car is switched on."""
-    return replace(state, received_ns=t_ns, was_silent=_was_silent(config, state, t_ns))
+    """A frame of 0x520 came that is not believed: the car is switched on, and its state is not known."""
+    return replace(state, received_ns=t_ns, was_silent=_was_silent(config, state, t_ns), doubted=True)
 
 
 def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
@@ -364,6 +369,8 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
         status_ns=t_ns,
         received_ns=t_ns,
         was_silent=False,
+        doubted=False,
+        known_again_ns=t_ns if state.doubted else state.known_again_ns,
         sequence=sequence,
         ready_since_ns=ready_since_ns,
         ready_waited_ns=waited_ns,
@@ -376,6 +383,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
         stop=None if anew else state.stop,
         emergency=None if power_cycle and off else state.emergency,
         both_pedals_since_ns=state.both_pedals_since_ns if driving else None,
+        command_stale_since_ns=state.command_stale_since_ns if driving else None,
     )
 
 
@@ -568,13 +576,19 @@ def valid_command(config: BridgeConfig, state: SupervisorState, inputs: Inputs) 
 
 
 def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs, supervised_ns: int) -> int:
-    """For how long there has been no new command. Data of 500 ms ages like a command of 100 ms."""
-    age = supervised_ns
+    """For how long there has been no new command. Data of 500 ms ages like a command of 100 ms.
+
+    What is stale counts on until a cycle has a fresh command, however regularly others on old data come.
+    """
+    age_ns = supervised_ns
     command = inputs.command
     if command is not None and command.run_id == state.run_id:
         data_allowance_ns = config.sensor_stale_ns - config.command_stale_ns
-        age = min(age, max(inputs.now_ns - inputs.command_ns, inputs.now_ns - command.t_sensor_ns - data_allowance_ns))
-    return age
+        data_ns = inputs.now_ns - command.t_sensor_ns - data_allowance_ns
+        age_ns = min(age_ns, max(inputs.now_ns - inputs.command_ns, data_ns))
+    if age_ns >= config.command_stale_ns and state.command_stale_since_ns is not None:
+        age_ns = max(age_ns, inputs.now_ns - state.command_stale_since_ns)
+    return age_ns
 
 
 def _command_age_words(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> str:
@@ -639,8 +653,11 @@ def _ages(
     running = state.stop is None
 
     found.append((Reason.VCU_SILENT, now_ns - state.status_ns, ""))
-    if inputs.status_doubt:
+    if state.doubted:
         found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, inputs.status_doubt))
+    elif state.known_again_ns is not None and now_ns - state.known_again_ns < config.as_state_known_ns:
+        known_ms = (now_ns - state.known_again_ns) / 1e6
+        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, f"known again for {known_ms:.0f} ms"))
     if running and (lack := _unprepared(config, state)) is not None:
         found.append((lack[0], _AT_ONCE_NS, lack[1]))
     if not state.go:
@@ -660,6 +677,11 @@ def _ages(
     if autonomous and running:
         age_ns = _command_age_ns(config, state, inputs, supervised_ns)
         found.append((Reason.COMMAND_STALE, age_ns, _command_age_words(config, state, inputs)))
+        stale_since = state.command_stale_since_ns
+        if age_ns < config.command_stale_ns:
+            stale_since = None
+        elif stale_since is None:
+            stale_since = now_ns
         both_since = state.both_pedals_since_ns
         if command is not None and command.throttle > 0.0 and command.brake > 0.0:
             if both_since is None:
@@ -667,7 +689,7 @@ def _ages(
             found.append((Reason.BOTH_PEDALS, now_ns - both_since, ""))
         else:
             both_since = None
-        state = replace(state, both_pedals_since_ns=both_since)
+        state = replace(state, both_pedals_since_ns=both_since, command_stale_since_ns=stale_since)
 
     # A message that never came is as old as it takes.
     never_ns = config.feedback_lost_ns

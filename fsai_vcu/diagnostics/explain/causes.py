@@ -60,6 +60,8 @@ _REMEDIES: Final = {
     Reason.SHUTDOWN_REQUESTED: "ask who switched the car off; else check TSMS and LVMS",
     Reason.FAULT_BIT: _SEE_FAULT,
     Reason.SHUTDOWN_CAUSE: _SEE_FAULT,
+    Reason.STATE_FAULT: "look at what it names: EBS (air pressure, 0x301), tractive system (battery, HVIL), the VCU",
+    Reason.AMI_CHANGED: "leave the display alone once the car is in AS_READY; else look for a second sender of 0x520",
     Reason.SEQUENCE_SHORT: "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
     Reason.NOT_SEEN: "start the software before the car leaves AS_OFF, then start anew from AS_OFF",
     Reason.NO_MISSION: "choose a mission on the AMI before Go",

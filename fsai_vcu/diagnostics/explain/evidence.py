@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface import messages
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.enums import Ami, EbsState, OpState, TsState
 from fsai_vcu.interface.fields import fields_of
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
@@ -189,6 +189,16 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
         for span in record.changes(signal, t_ns - 100 * MS, t_ns):
             if (span.value if falls else span.before) == 0.0:
                 words = f"{signal.name} becomes {label(signal, span.value)}"
+                add(reason, span.begin_ns, words, signal.can_id, signal.name)
+    for signal, reason, sound in (
+        (sig.EBS_STATE, Reason.STATE_FAULT, set(EbsState) - {EbsState.EBS_FAULT}),
+        (sig.TS_STATE, Reason.STATE_FAULT, set(TsState) - {TsState.TS_FAULT}),
+        (sig.OP_STATE, Reason.STATE_FAULT, set(OpState) - {OpState.OP_FAULT}),
+        (sig.AMI, Reason.AMI_CHANGED, frozenset[float]()),
+    ):
+        for span in record.changes(signal, t_ns - 100 * MS, t_ns):
+            if span.value not in sound:
+                words = f"{signal.name} {label(signal, span.before)} → {label(signal, span.value)}"
                 add(reason, span.begin_ns, words, signal.can_id, signal.name)
     return found
 

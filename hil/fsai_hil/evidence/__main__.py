@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from fsai_hil.evidence.model import LEFT_OUT
 from fsai_hil.evidence.scopes import all_scopes, scope
 from fsai_hil.evidence.search import Search
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
@@ -62,6 +63,9 @@ def _print_totals(results: Sequence[Searched]) -> None:
     print("\nWhat each scope leaves free; everything else in it behaves:")
     for one in results:
         print(f"  {one.name}: {scope(one.name).covers}")
+    print("\nNot searched, in any scope:")
+    for words in LEFT_OUT:
+        print(f"  {words}")
     print("\nThe rules, each held against every cycle:")
     for rule, words in RULES.items():
         print(f"  {rule:>12}  {words}")

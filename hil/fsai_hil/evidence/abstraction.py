@@ -18,7 +18,7 @@ from typing import Any, Final, cast
 from msgspec.structs import replace
 
 from fsai_hil.rules.numbers import CYCLE_NS, S
-from fsai_hil.rules.seen import Parts, marks_of
+from fsai_hil.rules.seen import STATES, Parts, marks_of
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.gate import GateState
@@ -27,7 +27,7 @@ from fsai_vcu.core.supervision.supervisor import STEERS_WHILE_STOPPING, Asked, L
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, WheelBelief
 from fsai_vcu.core.vehicle.odometry import standing_start
 from fsai_vcu.interface.codec import Decoded
-from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
     Faults,
@@ -82,6 +82,7 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
     return {
         "status_ns": vcu,
         "received_ns": (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns),
+        "known_again_ns": (c.as_state_known_ns,),
         "ready_since_ns": (c.ready_wait_ns,),
         "driving_since_ns": (
             c.launch_wait_ns,
@@ -93,6 +94,7 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
         "turning_ns": (c.standstill_ns,),
         "stop_window_ns": (c.stop_window_ns,),
         "both_pedals_since_ns": (c.both_pedals_ns,),
+        "command_stale_since_ns": (c.command_lost_ns,),
         "cycle_ns": (),
         "command_ns": (c.command_stale_ns, c.command_lost_ns),
         "listening_since_ns": (c.listen_first_ns,),
@@ -220,6 +222,7 @@ class Abstraction:
             stop_window_ns=_NO_TIME if window_rpm is None else s.stop_window_ns,
             stop_window_rpm=window_rpm,
             both_pedals_since_ns=None if stop is not None else s.both_pedals_since_ns,
+            command_stale_since_ns=None if stop is not None else s.command_stale_since_ns,
         )
 
     def _gate(self, state: BridgeState, driving: bool) -> GateState:
@@ -273,7 +276,7 @@ def _reported(state: BridgeState) -> Content:
         echo = brake.rear_request_pct != 0.0
     return (
         None if status is None else (
-            status.as_state, status.go_signal and driving, status.fault and driving, marks_of(status),
+            status.as_state, status.go_signal and driving, status.ami, status.fault and driving, marks_of(status),
         ),
         None if speeds is None else speeds.all_rpm,
         None if steer is None else steer.angle_max_deg,
@@ -287,8 +290,8 @@ def _vehicle(reported: Content, times: Sequence[int | None], handshake: bool, *,
     status_ns, speeds_ns, steer_ns, axle_ns = cast(Sequence[int], times)
     frames = {}
     if status is not None:
-        as_state, go, fault, marks = status
-        frames["status"] = status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, marks, status_ns)
+        as_state, go, ami, fault, marks = status
+        frames["status"] = status_frame(False, go, as_state, ami, fault, marks, status_ns)
     if rpm is not None:
         frames["speeds"] = car_frame(WheelSpeeds, speeds_ns, *rpm)
     if angle_max_deg is not None:
@@ -308,7 +311,8 @@ _SWITCHES: Final = ("AS_SWITCH_STATUS falls", "TS_SWITCH_STATUS falls")
 _REQUEST: Final = "SHUTDOWN_REQUEST rises"
 _BITS: Final[Mapping[str, str]] = {f"fault bit {name} rises": name for name in ("bms", "ebs")}
 _CAUSE: Final = "SHUTDOWN_CAUSE rises"
-MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)  # of those that `rules.seen.marks_of` knows
+_STATES: Final = tuple(f"{name} becomes FAULT" for name in STATES)
+MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE, *_STATES)  # of those that `rules.seen.marks_of` knows
 _IDS: Final[Mapping[type, int]] = {
     kind: can_id for can_id, kind in enumerate((VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds), 0x521)
 }
@@ -348,6 +352,9 @@ def status_frame(
         fault=fault,
         faults=Faults(**{field: mark in marks for mark, field in _BITS.items()}),
         shutdown_cause=ShutdownCause.BMS_FAULT if _CAUSE in marks else ShutdownCause.NO_SHUTDOWN,
+        ebs_state=EbsState.EBS_FAULT if _STATES[0] in marks else EbsState.EBS_ARMED,
+        ts_state=TsState.TS_FAULT if _STATES[1] in marks else TsState.TS_RUNNING,
+        op_state=OpState.OP_FAULT if _STATES[2] in marks else OpState.OP_AUTO,
         t_rx_ns=now,
     )
     return _frame(0x520, image, now, bit)

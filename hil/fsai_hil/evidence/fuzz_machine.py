@@ -16,7 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from fsai_hil.evidence.fuzz_run import READY_CYCLES, SPOKEN, Run, at_station
 from fsai_vcu.interface.bus_table import BUS_TABLE
-from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import Faults, VcuBrake, VcuDriveFront, VcuDriveRear, VcuStatus, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
@@ -37,8 +37,8 @@ _MS: Final = _one_of(
     150.0, 299.999999, 300.0, 400.0, 500.0, 700.0, 999.999999, 1000.0, 1000.000001, 1500.0, 3000.0,
 )  # fmt: skip
 _AGE_MS: Final = _one_of(
-    0.0, 0.0, 10.0, 99.0, 400.0, 499.999999, 500.0, 500.000001, 700.0, 5000.0, 1e12, -10.0, -20.0, -20.000001, -50.0,
-    -400.0, -1e12,
+    0.0, 0.0, 10.0, 99.0, 400.0, 499.999999, 500.0, 500.000001, 600.0, 600.0, 700.0, 5000.0, 1e12, -10.0, -20.0,
+    -20.000001, -50.0, -400.0, -1e12,
 )  # fmt: skip
 _ODD: Final = _one_of(math.nan, math.inf, -math.inf, -0.0, 5e-324, 1e308, -1e308, -1.0, 1.0000001, 2.0, -1e-9)
 _WALK: Final = _one_of(*(AsState(number) for number in (1, 2, 3, 5, 4, 0)))
@@ -78,6 +78,7 @@ _RAW: Final = st.one_of(
     _bits((VcuStatus,), (("as_state",), ("as_state",), ("ami",)), *range(16)),
     _bits((VcuStatus,), tuple((name,) for name in ("go_signal", "fault", "shutdown_request", "handshake")), 0, 1),
     _bits((VcuStatus,), (("as_switch",), ("ts_switch",), ("shutdown_cause",)), *range(16)),
+    _bits((VcuStatus,), (("ebs_state",), ("ts_state",), ("op_state",)), *range(16)),
     _bits((VcuDriveFront, VcuDriveRear), (("torque_max_nm",),), 0, 1, 500, 1950, 0xFFFF),
     _bits((VcuSteer,), (("angle_max_deg",), ("angle_deg",)), 0, 1, 50, 300, 0x8000, 0xFFFF),
     _bits((VcuBrake,), (("front_request_pct",), ("rear_request_pct",)), 0, 1, 200, 255),
@@ -131,6 +132,8 @@ def _happening(name: str = "", **arguments: st.SearchStrategy[Any]) -> Callable[
                 {"fault": True}),
         st.sampled_from(Faults.__struct_fields__).map(lambda bit: {"faults": Faults(**{bit: True})}),
         st.fixed_dictionaries({"shutdown_cause": st.sampled_from(ShutdownCause)}),
+        _one_of({"ebs_state": EbsState.EBS_FAULT}, {"ts_state": TsState.TS_FAULT}, {"op_state": OpState.OP_FAULT}),
+        st.fixed_dictionaries({"ami": st.sampled_from(Ami)}),
     ),
     cycles=_one_of(1, 2, 40),
     back=st.booleans(),
@@ -141,7 +144,8 @@ def turned(run: Run, status: dict[str, Any], cycles: int, back: bool) -> None:
     run.run(cycles)
     if back:
         run.car(as_switch=True, ts_switch=True, shutdown_request=False, go_signal=True, fault=False,
-                faults=Faults(), shutdown_cause=ShutdownCause.NO_SHUTDOWN)  # fmt: skip
+                faults=Faults(), shutdown_cause=ShutdownCause.NO_SHUTDOWN, ebs_state=None, ts_state=None,
+                op_state=None, ami=Ami.TRACKDRIVE)  # fmt: skip
 
 
 @_happening(
@@ -255,6 +259,14 @@ def flicker(run: Run, cycles: int, times: int) -> None:
         run.run(cycles)
         run.command(throttle=1.0, brake=0.0)
         run.run(cycles)
+
+
+@_happening(known=_one_of(1, 1, 2, 9, 10, 11), times=st.integers(1, 5))
+def state_flickers(run: Run, known: int, times: int) -> None:
+    """AS_STATE is known and unknown in turn."""
+    for _ in range(times):
+        run.raw(VcuStatus, ("as_state",), 15, 1)
+        run.run(1 + known)
 
 
 @_happening(cycles=_one_of(5, 9, 10, 11, 29, 30, 31, 50, 69, 71))

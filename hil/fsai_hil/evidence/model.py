@@ -5,7 +5,8 @@ This module saves its state, puts it back, and says what the environment may do.
 
 - the codec hands images on as they are (each command is encoded by the real one, once per different command);
 - odometry is left out: it fills a logging field;
-- the plausibility checks' verdicts are the environment's choice (the checks have tests of their own);
+- the plausibility checks' verdicts are the environment's choice: a mistake inside a check (a wheel's factor in a curve,
+  for how long torque explains a wheel that spins) shows nothing here;
 - so is whether a wheel turns by the pulse counts, which are not sent: what they say of a wheel speed shows in nothing
   but that it is not believed, and speeds that may not be believed are sent;
 - wheels may change their speed from one cycle to the next: more than any car can do.
@@ -66,6 +67,15 @@ from fsai_vcu.interface.messages import AiCommand, AiImage, VcuDriveFront, VcuDr
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.values import Value
 
+LEFT_OUT: Final = (
+    "whether the plausibility checks find what they should: the model of the steering, each wheel's factor in a curve, "
+    "what explains slip and for how long (tests of their own, the campaign's sensors and actuators)",
+    "what pulse counts say of a wheel speed (the fuzz, the campaign)",
+    "what the codec reads of a frame's bytes (tests of its own, the fuzz, the campaign)",
+    "odometry, and words for people",
+)
+"""What a mistake may be in without a trace in this search, and what looks at that instead."""
+
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
 CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
 
@@ -86,7 +96,7 @@ class Ask(Value, frozen=True):
 
 
 _LEFT = math.radians(20.0)
-_DRIVES: Final = {"steering_rad": _LEFT, "throttle": 0.5}
+_DRIVES: Final = {"steering_rad": _LEFT, "throttle": 0.123}  # no share of it is whole tenths of Nm
 COMMANDS: Final[Mapping[str, Ask]] = {
     "drive": Ask(_DRIVES),
     "drive right": Ask({"steering_rad": -_LEFT, "throttle": 1.0}),
@@ -129,6 +139,7 @@ class Choice(Value, frozen=True):
     torque_max_nm: float = 195.0
     request: str | None = None
     confirm: frozenset[str] = BOTH  # who says that he has reset himself
+    confirm_other: frozenset[str] = frozenset()  # who says so of another run
     frames: int = 5  # how many of the cycle's five frames go out
     event: str | None = None
     steer_odd: bool = False
@@ -535,6 +546,8 @@ class Composition:
         supervising = b.state.supervisor
         for role in choice.confirm - supervising.confirmed:
             b.on_reset_confirmed(role, supervising.run_id)
+        for role in choice.confirm_other:
+            b.on_reset_confirmed(role, supervising.run_id + _OTHER_RUN)
         if choice.command != _NO_COMMAND:
             ask = COMMANDS[choice.command]
             run_id = b.state.supervisor.run_id + ask.run

@@ -168,8 +168,14 @@ def all_scopes() -> tuple[Scope, ...]:
         _run(),
         _scope(
             "confirmations",
-            "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none",
-            [*_over(_WELL, **_CONFIRMED), *_over(GO, **_CONFIRMED), replace(GO, asms=False)],
+            "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none, of "
+            "another run",
+            [
+                *_over(_WELL, **_CONFIRMED),
+                *_over(GO, **_CONFIRMED),
+                *_over(_WELL, ami=[Ami.TRACKDRIVE, Ami.ACCELERATION], confirm=[NOBODY, _PLANNER], confirm_other=[BOTH]),
+                replace(GO, asms=False),
+            ],
             (_DRIVES, replace(_DRIVES, ami=Ami.ACCELERATION, confirm=NOBODY)),
         ),
         _scope(
@@ -251,12 +257,13 @@ def all_scopes() -> tuple[Scope, ...]:
         ),
         _scope(
             "marks",
-            "switches, SHUTDOWN_REQUEST, fault bits and SHUTDOWN_CAUSE in 0x520 while FAULT_STATUS stays 0: there "
-            "since before the run, and turning in AS_DRIVING, each and all of them",
+            "switches, SHUTDOWN_REQUEST, fault bits, SHUTDOWN_CAUSE and states of FAULT in 0x520 while FAULT_STATUS "
+            "stays 0: there since before the run, and turning in AS_DRIVING, each and all of them; the AMI turned",
             [replace(_WELL, marks=_EVERY_MARK), replace(GO, marks=_EVERY_MARK), replace(_WELL, marks=_EACH_MARK[3])],
             [
                 *_over(_DRIVES, marks=[NOBODY, _EVERY_MARK, *_EACH_MARK, _EVERY_MARK - _EACH_MARK[3]]),
                 replace(GO, marks=_EACH_MARK[0]),
+                *_over(_DRIVES, ami=[Ami.ACCELERATION, Ami.NOT_SELECTED]),
             ],
         ),
         _scope(

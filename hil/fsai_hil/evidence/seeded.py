@@ -6,6 +6,7 @@ could make in a table, a time or a function of supervisor, gate or bridge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -134,6 +135,10 @@ def _cut_short_counts(original: Callable[..., Any], instance: Any, complete: boo
         instance.state = replace(state, supervisor=selected, gate=replace(state.gate, acknowledged_run_id=run_id))
 
 
+def _rounded_up(limit_nm: float | None, share: float) -> float:
+    return 0.0 if limit_nm is None else math.ceil(limit_nm * share * 10.0 - 1e-9) / 10.0
+
+
 def _first_bit_alone(now: VcuStatus, before: VcuStatus) -> VcuStatus:
     """Where a fault bit is shown already, no other rises."""
     return replace(now, faults=before.faults) if any(astuple(before.faults)) else now
@@ -221,6 +226,8 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
             _reported(Reason.AS_STATE_UNKNOWN)
             + _given(bridge, "gate", vehicle=lambda a: replace(a.vehicle, status_known=True)),
         ),
+        "torque returns with the first AS_STATE that is known": ("messages", _config(as_state_known_ns=0)),
+        "an AS_STATE is known again 1 ns early": ("messages", _config(as_state_known_ns=100 * MS - 1)),
         "a lost bus does not break the sequence": (
             "trouble",
             _wrapped(supervisor, "bus_lost", lambda original, config, state, *rest: state),
@@ -247,12 +254,17 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
             _given(gating, "_axle_limit_nm", now_ns=lambda a: a.axle.t_rx_ns if a.axle else a.now_ns),
         ),
         "no constant-power steps": ("limits", _always(gating, "constant_power_nm", 195.0)),
+        "a torque share is rounded up": ("commands", ((gating, "_share_nm", _rounded_up),)),
         "the operational speed limit is forgotten": ("run", _always(gating, "motor_rpm", 4000)),
     },
     "5": {
         "FORWARD in AS_READY": ("run", _output(Phase.READY, direction=Direction.FORWARD)),
         "RUNNING in AS_OFF": ("run", _output(Phase.IDLE, mission_status=MissionStatus.RUNNING)),
         "SELECTED whatever the mode": ("run", _always(supervisor, "acknowledged", True)),
+        "a reset that is confirmed for another run counts": (
+            "confirmations",
+            _given(supervisor, "confirm", run_id=lambda a: a.state.run_id),
+        ),
         "SELECTED before the resets are confirmed": (
             "run",
             _given(supervisor, "acknowledged", state=lambda a: replace(a.state, confirmed=frozenset(supervisor.ROLES))),
@@ -307,6 +319,12 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
         "SHUTDOWN_REQUEST that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_REQUESTED)),
         "a fault bit that rises is only reported": ("marks", _reported(Reason.FAULT_BIT)),
         "a SHUTDOWN_CAUSE that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_CAUSE)),
+        "a state that becomes FAULT is only reported": ("marks", _reported(Reason.STATE_FAULT)),
+        "an AMI_STATE that changes is only reported": ("marks", _reported(Reason.AMI_CHANGED)),
+        "commands on old data are held for ever": (
+            "commands",
+            _given(supervisor, "_command_age_ns", state=lambda a: replace(a.state, command_stale_since_ns=None)),
+        ),
         "one fault bit hides the others": (
             "marks",
             _given(bridge, "changes", now=lambda a: _first_bit_alone(a.now, a.before)),
@@ -326,7 +344,7 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
     "output table": {
         "what has been shown since before the run stops it": (
             "marks",
-            _given(bridge, "changes", before=lambda _: _NOTHING_SHOWN),
+            _given(bridge, "changes", before=lambda a: replace(_NOTHING_SHOWN, ami=a.now.ami)),
         ),
         "a stop without the brake": ("run", _output(Phase.STOPPING, brake=Brake.ZERO)),
         "a stop by the motors without the motors": ("official simulator", _output(Phase.STOPPING, brake=Brake.ZERO)),

@@ -179,7 +179,7 @@ class BusView:
         if s.stopped or s.order is None:
             s.pedals_ns = None
         if s.stopped:
-            s.stopped, s.pedals_ns = "a stop is due", None
+            s.stopped, s.pedals_ns, s.stale_ns = "a stop is due", None, None
         if s.alarm is not None:
             s.alarm = None if s.latched else "an emergency is due"
         if not driving:
@@ -254,8 +254,13 @@ class BusView:
         s = self.seen
         if s.any_status_ns is not None and t_ns - s.any_status_ns >= n.POWER_CYCLE_NS + self.in_flight_ns:
             s.silent = True
-        s.any_status_ns, s.unknown = t_ns, decoded.image is None
-        self._note("known", t_ns, decoded.image is not None)
+        s.any_status_ns = t_ns
+        if decoded.image is None:
+            s.known_ns = None
+        elif s.known_ns is None:
+            before_the_log = s.as_state is None and not self.from_start
+            s.known_ns = t_ns - n.AS_STATE_KNOWN_NS if before_the_log else t_ns
+        self._note("known", t_ns, s.known_ns)
         bit = decoded.handshake
         if bit is None:
             return
@@ -291,7 +296,7 @@ class BusView:
         if state is not AsState.AS_DRIVING:
             if s.alarm is not None and (s.bus_gone or s.reopening):
                 s.latched = True  # what a lost bus did not carry is asked for when it is back
-            s.driving_ns, s.stopped, s.alarm = None, None, None
+            s.driving_ns, s.stopped, s.alarm, s.stale_ns = None, None, None, None
         elif s.marks is not None and not marks <= s.marks:
             words = "; ".join(sorted(marks - s.marks))
             self._stop(words if self.process is None else f"in AS_DRIVING {words}")
@@ -545,7 +550,7 @@ class BusView:
         supervised_ns = now_ns - s.driving_ns - n.LAUNCH_NS
         lost = False
         if supervised_ns >= 0:
-            lost = s.autonomous and min(supervised_ns, supervised_ns if age_ns is None else age_ns) >= n.COMMAND_LOST_NS
+            lost = s.autonomous and self._without_command_ns(supervised_ns, age_ns) >= n.COMMAND_LOST_NS
             self._look_at_feedback(now_ns)
             runs = not self.over and not s.latched
             if not self.nothing_hidden:  # no stop or emergency has begun for another reason: there would be a brake
@@ -569,6 +574,16 @@ class BusView:
             # A stop began no later than it is known here, but what began it may have been seen a cycle before.
             if now_ns - s.stopped_ns >= process.stop_timeout_ns + 100 * MS and not slow:
                 self._alarm("the car still moves long after the stop began")
+
+    def _without_command_ns(self, supervised_ns: int, age_ns: int | None) -> int:
+        """For how long no cycle has had a fresh command: one on old data ends nothing."""
+        s = self.seen
+        without_ns = supervised_ns if age_ns is None else min(supervised_ns, age_ns)
+        if without_ns < n.COMMAND_FRESH_NS:
+            s.stale_ns = None
+        elif s.stale_ns is None:
+            s.stale_ns = self.now_ns
+        return without_ns if s.stale_ns is None else max(without_ns, self.now_ns - s.stale_ns)
 
     def _missing_ns(self, t_ns: int | None) -> int:
         """For how long something has not been received that could have been."""
@@ -636,9 +651,21 @@ class BusView:
         return all(state in IDLE for state in self.states) and (bool(self.states) or self.from_start)
 
     @property
-    def status_counts(self) -> bool:
+    def status_fresh(self) -> bool:
+        """The last 0x520 is one that is known, and not stale."""
         s = self.seen
-        return not s.unknown and s.status_ns is not None and self.now_ns - s.status_ns < n.STATUS_FRESH_NS
+        return s.known_ns is not None and s.status_ns is not None and self.now_ns - s.status_ns < n.STATUS_FRESH_NS
+
+    @property
+    def state_settled(self) -> bool:
+        """AS_STATE has been known for so long that torque may return, in what the sender can have seen."""
+        known = self.possible("known", self.seen.known_ns)
+        return any(t is not None and self.now_ns - t >= n.AS_STATE_KNOWN_NS - self.slack_ns for t in known)
+
+    @property
+    def commands_count(self) -> bool:
+        """By what 0x520 says of the AS state."""
+        return self.status_fresh and self.state_settled
 
     @property
     def stood_before(self) -> bool:

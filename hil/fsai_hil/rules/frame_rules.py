@@ -232,8 +232,8 @@ def _may_drive(v: BusView, axle: Axle) -> Iterator[str]:
         return
     if AsState.AS_DRIVING not in v.states:
         yield f"{name} torque in {v.states[-1].label}"
-    if not any(v.possible("known", not s.unknown)):
-        yield f"{name} torque after a 0x520 whose AS_STATE no table knows"
+    if not v.state_settled:
+        yield f"{name} torque after a 0x520 whose AS_STATE no table knows, and not 100 ms of known ones since"
     age_ns = t_ns - (s.status_ns or 0)
     if age_ns >= n.STATUS_FRESH_NS + v.in_flight_ns:  # stale after 50 ms is stale at 50 ms
         yield f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old"
@@ -415,7 +415,7 @@ def _steers(v: BusView, steer: AiSteer) -> Iterator[str]:
     most_turn_deg = v.steer_rate_degps * step_ns / S
     turn_deg = max(-most_turn_deg, min(most_turn_deg, order.steer_deg - s.steer_deg))
     wanted_deg = max(-most_deg, min(most_deg, s.steer_deg + turn_deg))
-    if abs(deg - wanted_deg) > STEER_STEP_DEG + TINY and not (held and (stopping or not v.status_counts)):
+    if abs(deg - wanted_deg) > STEER_STEP_DEG + TINY and not (held and (stopping or not v.commands_count)):
         yield f"steering {deg} deg, and the command asks for {order.steer_deg:.2f}"
 
 
@@ -469,7 +469,7 @@ def _brakes(v: BusView, brake: AiBrake) -> Iterator[str]:
         falls = pct < s.braked_pct
         if falls and (v.nothing_hidden or (pct == 0.0 and v.whole_in_a_row > 0)):
             yield f"the brake falls from {s.braked_pct} % to {pct} %, and no command counts"
-    elif v.nothing_hidden and v.status_counts and abs(pct - 100.0 * order.brake) > BRAKE_STEP_PCT / 2:
+    elif v.nothing_hidden and v.commands_count and abs(pct - 100.0 * order.brake) > BRAKE_STEP_PCT / 2:
         yield f"brake {pct} %, and the command asks for {100.0 * order.brake:g} %"
 
 
@@ -480,7 +480,7 @@ def _brakes_by_motors(v: BusView, brake: AiBrake) -> Iterator[str]:
     if not (v.nothing_hidden and v.motor_brakes) or s.as_state is not AsState.AS_DRIVING:
         return
     times = wheels.believed_ns, s.front_ns, s.rear_ns
-    known = v.status_counts and all(t is not None and now_ns - t < n.FEEDBACK_STALE_NS for t in times)
+    known = v.status_fresh and all(t is not None and now_ns - t < n.FEEDBACK_STALE_NS for t in times)
     due = s.stopped is not None and not s.latched and not wheels.may_stand(now_ns)
     if due and known and (s.torque_runs or v.may_rise) and not (v.cycle.torque and not v.cycle.motor_rpm):
         yield "the motors do not brake, and a stop is due"

@@ -47,6 +47,7 @@ POWER_CYCLE_NS: Final = 1 * S
 
 # Graded reactions
 STATUS_LOST_NS: Final = 100 * MS
+AS_STATE_KNOWN_NS: Final = 100 * MS  # so long known again before torque returns
 COMMAND_LOST_NS: Final = 300 * MS
 FEEDBACK_STALE_NS: Final = 100 * MS
 FEEDBACK_LOST_NS: Final = 300 * MS

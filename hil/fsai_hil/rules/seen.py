@@ -11,7 +11,7 @@ from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
 from fsai_hil.rules import numbers as n
-from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, CarEnum, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
 from fsai_vcu.interface.values import Value
 
@@ -62,7 +62,7 @@ class Seen(Struct):
     fault: bool = False
     status_ns: int | None = None
     any_status_ns: int | None = None  # any 0x520, believed or not
-    unknown: bool = False  # the last 0x520 is none that anybody knows
+    known_ns: int | None = None  # since when each 0x520 has been one that is known; None: the last is not
     silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
     marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
     handshake: bool | None = None
@@ -85,6 +85,7 @@ class Seen(Struct):
     latched: bool = False  # an emergency: granted, or seen on the wire
     order: Order | None = None  # the newest valid command
     command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
+    stale_ns: int | None = None  # the first cycle without a fresh command; None: the last one had one
     pedals_ns: int | None = None  # since when every command has asked for both
     # what went wrong
     alarm: str | None = None  # why an emergency is due in this run
@@ -137,12 +138,14 @@ class Parts:
 TIMES: Final[Mapping[str, tuple[int, ...]]] = {
     "status_ns": (n.STATUS_FRESH_NS, n.STATUS_LOST_NS),
     "any_status_ns": (n.POWER_CYCLE_NS - n.CYCLE_NS, n.POWER_CYCLE_NS),
+    "known_ns": (n.AS_STATE_KNOWN_NS,),
     "ready_ns": (n.READY_SEEN_NS,),
     "driving_ns": (n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS),
     "steer_ns": (n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS),
     "front_ns": (n.FEEDBACK_STALE_NS,),
     "rear_ns": (n.FEEDBACK_STALE_NS,),
     "command_ns": (n.COMMAND_FRESH_NS, n.COMMAND_LOST_NS),
+    "stale_ns": (n.COMMAND_LOST_NS,),
     "pedals_ns": (n.PEDALS_NS,),
     "steer_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
     "wheel_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
@@ -162,15 +165,33 @@ EDGES: Final = (
 """The ages at which each clock of `WireChecker.saved` matters."""
 
 
+STATES: Final = ("EBS_STATE", "TS_STATE", "OP_STATE")
+FAULT_STATE: Final = 15  # of each of them (2026); what no table knows is read as it
+
+
 def marks_of(status: VcuStatus) -> frozenset[str]:
     """What of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
     cause = status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN
-    return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause)
+    states = status.ebs_state, status.ts_state, status.op_state
+    return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause, states, status.ami)
 
 
 @lru_cache
-def _marks(as_switch: bool, ts_switch: bool, shutdown: bool, faults: Faults, cause: bool) -> frozenset[str]:
+def _marks(
+    as_switch: bool,
+    ts_switch: bool,
+    shutdown: bool,
+    faults: Faults,
+    cause: bool,
+    states: tuple[CarEnum | None, ...],
+    ami: Ami,
+) -> frozenset[str]:
     shown = {
+        f"AMI_STATE becomes {ami.label}": True,
+        **{
+            f"{name} becomes FAULT": state is not None and state == FAULT_STATE
+            for name, state in zip(STATES, states, strict=True)
+        },
         "AS_SWITCH_STATUS falls": not as_switch,
         "TS_SWITCH_STATUS falls": not ts_switch,
         "SHUTDOWN_REQUEST rises": shutdown,

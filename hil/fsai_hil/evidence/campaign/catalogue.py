@@ -20,7 +20,7 @@ from fsai_hil.evidence.campaign import injections as i
 from fsai_hil.evidence.campaign.demands import Computed, Demand, End, Graded, Must, Onset, Params, ends
 from fsai_hil.evidence.campaign.injections import Injection
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS
@@ -127,6 +127,7 @@ COMMAND_STOP = d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.COMMAND_STALE_MS + d.C
 LOST_COMMAND = Graded(((100, d.held(d.COMMAND_STALE_MS + d.CONTROL_MS)), (300, COMMAND_STOP)))
 COMMAND_BANDS = ((10, 60), (140, 240), (380, 2500))
 OLD_DATA = Graded(((600, d.stop(700 + d.PLAN_MS, d.SENSOR_STALE_MS + d.PLAN_MS)),))
+OLD_FOR_LONG = d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.CONTROL_MS)
 SILENT = ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
 SILENT_OURS = replace(SILENT, no_torque_ms=0, note="it never drives on by itself")
 AI_SILENT = Graded(((100, SILENT),))
@@ -162,12 +163,16 @@ BUS_LOST = "commands are dropped, and the bus is opened again with growing pause
 SWINGS = Draw("period", (50, 500))
 SHOWN = lasts((15, 1500))
 UPSET = lasts((100, 4000))
+FAULT_STATES: Final[Mapping[str, Any]] = MappingProxyType(
+    {"ebs_state": EbsState.EBS_FAULT, "ts_state": TsState.TS_FAULT, "op_state": OpState.OP_FAULT}
+)
 OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "switches": {"as_switch": False, "ts_switch": False},
         "shutdown_request": {"shutdown_request": True},
         "faults": {"faults": Faults(*(True for _ in Faults.__struct_fields__))},
         "cause": {"shutdown_cause": ShutdownCause.AI_COMMS_FAULT},
+        "states": FAULT_STATES,
     }
 )
 
@@ -262,6 +267,23 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         lasts((10, 40), (60, 86), (130, 2500)),
         Draw("state", (6, 15)),
     ),
+    Fault("status_flickering_as_state", "0x520 shows an AS_STATE that no table knows in every other frame").by(
+        i.from_car({i.STATUS}, "flickering AS_STATE"), d.held(10), lasts((30, 1500)), Draw("state", (6, 15))
+    ),
+    Fault("status_state_fault", "0x520 shows one of its states as FAULT while FAULT_STATUS stays 0, the car drives").by(
+        i.status_shows(lambda p: {p["state"]: FAULT_STATES[p["state"]]}),
+        EDGE,
+        SHOWN,
+        Draw("state", *FAULT_STATES),
+        revisions=("2026",),
+    ),
+    Fault("status_ami", "0x520 shows another mission, or none, the car drives").by(
+        i.status_shows(lambda p: {"ami": Ami[p["ami"]]}),
+        EDGE,
+        SHOWN,
+        Draw("ami", Ami.NOT_SELECTED.name, Ami.AUTONOMOUS_DEMO.name),
+        missions=EVERY_MISSION - {Ami.AUTONOMOUS_DEMO},
+    ),
     *(
         Fault(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
             i.status_shows(shown), EDGE, SHOWN, *draws
@@ -286,7 +308,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault(
         "status_old_marks",
-        "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits or a SHUTDOWN_CAUSE since before the run",
+        "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits, a SHUTDOWN_CAUSE or states since before the run",
     ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), d.NOTHING, Draw("mark", *OLD_MARKS), from_start=True),
     Fault("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
         i.together(
@@ -368,6 +390,9 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         Draw("frames", (1, 50)),
         Draw("period", (1, 20)),
         Draw("payload", "zeros", "random"),
+    ),
+    Fault("other_revision", "frames that only another revision has come beside the car's: they are named").by(
+        i.other_revision, d.NOTHING, lasts((20, 4000)), revisions=("2026",)
     ),
     Fault("stranger", "unknown, extended, remote and error frames every millisecond").by(
         i.stranger, d.NOTHING, lasts((20, 1500))
@@ -526,8 +551,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("hvil_open", "the high-voltage interlock opens", "hvil_open", True),
         )
     ),
-    Fault("ami_changed", "somebody turns the AMI in AS_DRIVING: it is latched").by(
-        i.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), d.NOTHING, missions=ROAD_MISSIONS
+    Fault("ami_changed", "somebody turns the AMI in AS_DRIVING").by(
+        i.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), EDGE, missions=ROAD_MISSIONS
     ),
     Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock of ours").by(
         i.put("world.vcu.switches.steering_fault", True), d.NOTHING
@@ -638,8 +663,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("controller_old_stamps", "commands carry a stamp that is too old").by(
         i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
-        Graded(((600, d.stop(d.CONTROL_MS)),), "age"),
-        Draw("age", (20, 180), (950, 3000)),
+        Graded(((510, OLD_FOR_LONG), (950, d.stop(d.CONTROL_MS))), "age"),
+        Draw("age", (20, 180), (510, 570), (950, 3000)),
     ),
     Fault("controller_future_stamps", "commands carry a stamp of the future: they are refused whole").by(
         i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),

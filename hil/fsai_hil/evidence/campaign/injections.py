@@ -7,6 +7,7 @@ runs.
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 import struct
@@ -124,6 +125,16 @@ def _impossible_speeds(ids: Ids, p: Params) -> FrameFault:
     return Overwrite(ids, at, data)
 
 
+def _flickering_state(ids: Ids, p: Params) -> FrameFault:
+    """Every other frame shows an AS_STATE that no table knows; HANDSHAKE stays what it is."""
+    odd = itertools.cycle((True, False))
+
+    def change(frame: Frame) -> Frame:
+        return replace(frame, data=frame.data[:2] + bytes([p["state"]]) + frame.data[3:]) if next(odd) else frame
+
+    return Changed(ids, change)
+
+
 _NO_NUMBERS: Final = {"nan": math.nan, "inf": math.inf, "huge": 3e38}
 _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
     "lost": lambda ids, p: Drop(ids),
@@ -136,6 +147,7 @@ _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
     "cut": lambda ids, p: WrongLength(ids, p["length"]),
     "no number": lambda ids, p: Overwrite(ids, 0, struct.pack("<f", _NO_NUMBERS[p["value"]])),
     "impossible speeds": _impossible_speeds,
+    "flickering AS_STATE": _flickering_state,
     "undefined AS_STATE": lambda ids, p: Overwrite(ids, 2, bytes([p["state"]])),  # HANDSHAKE stays what it is
 }
 
@@ -204,6 +216,16 @@ def intruder(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         turn, rest_ns = divmod(t_ns - now_ns, p["period"] * MS)
         if not rest_ns and turn < p["frames"]:
             rig.intrude(Frame(can_id, payload, t_ns))
+
+    fault.ticks.append(tick)
+
+
+def other_revision(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+    """0x120, which is in 2021 only, comes every 10 ms."""
+
+    def tick(t_ns: int) -> None:
+        if not (t_ns - now_ns) % (10 * MS):
+            rig.intrude(Frame(0x120, bytes(8), t_ns))
 
     fault.ticks.append(tick)
 
