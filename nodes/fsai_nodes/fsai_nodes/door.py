@@ -242,5 +242,6 @@ def refusal_of_request(node: Node, service: Service, request: Any) -> str:
     parts: Parts | None = DECLARED.get(key_of(type(request)))
     why = parts.misfit(request, "") if parts is not None else ""
     if why:
-        complaints_of(node).say(service.srv_name, _sentence(service.srv_name, "", why))
+        name = node.resolve_service_name(service.srv_name)
+        complaints_of(node).say(name, _sentence(name, "", why))
     return printable(why, 500)

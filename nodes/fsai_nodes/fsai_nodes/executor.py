@@ -149,7 +149,7 @@ def _name(entity: Any) -> str:
     for field in ("topic_name", "srv_name"):
         name = getattr(entity, field, None)
         if name is not None:
-            return str(name)
+            return f"/{str(name).strip('/')}"
     name = getattr(getattr(entity, "callback", None), "__qualname__", None)
     return f"timer {name}" if name else type(entity).__name__
 
