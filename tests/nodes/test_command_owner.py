@@ -20,14 +20,14 @@ def test_a_run_belongs_to_the_first_that_speaks() -> None:
     assert owner.takes(1, A, 2, both) and owner.gid == A
 
 
-def test_it_belongs_to_the_one_that_confirmed_though_another_speaks_first() -> None:
+def test_it_belongs_to_the_one_that_confirmed_its_reset() -> None:
     owner = CommandOwner(LOST_NS)
     owner.confirmed(1, A)
     assert not owner.takes(1, B, 0, both)
     assert owner.takes(1, A, 1, both)
 
 
-def test_where_the_one_that_confirmed_sends_no_commands_at_all_another_may() -> None:
+def test_who_confirmed_but_never_commands_does_not_have_it() -> None:
     """A team's planner may confirm for its controller, or somebody by hand."""
     owner = CommandOwner(LOST_NS)
     owner.confirmed(1, A)
@@ -48,7 +48,7 @@ def test_of_two_publishers_in_one_process_one_is_obeyed() -> None:
     assert owner.takes(1, A, 0, both) and not owner.takes(1, ALSO_A, 1, both)
 
 
-def test_it_is_free_once_its_owner_has_been_lost_and_not_before() -> None:
+def test_it_is_free_once_its_owner_has_been_lost() -> None:
     owner = CommandOwner(LOST_NS)
     assert owner.takes(1, A, 0, both)
     assert not owner.takes(1, B, LOST_NS - 1, both)

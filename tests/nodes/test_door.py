@@ -48,7 +48,7 @@ GID = bytes(range(16))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.5, -0.1])
-def test_a_number_out_of_range_or_none_is_named_with_its_range(value: float) -> None:
+def test_a_number_out_of_range_is_named_with_its_range(value: float) -> None:
     assert Number(0.0, 1.0).misfit(value, "throttle") == f"throttle is {value:g}, not a number from 0 to 1"
 
 
@@ -103,7 +103,7 @@ def test_an_array_says_which_of_its_items_do_not_fit() -> None:
 
 
 @pytest.mark.parametrize("key", DECLARED)
-def test_each_field_of_a_declared_type_is_declared_or_called_unread(key: str) -> None:
+def test_each_field_is_declared_or_called_unread(key: str) -> None:
     assert key_of(class_of(key)) == key
     _same_fields(class_of(key), DECLARED[key], key)
 
@@ -141,7 +141,7 @@ def test_nothing_is_taken_from_ros_but_through_the_door() -> None:
                 assert name not in made or path.name == "door.py", f"{path.name}: {name}"
 
 
-def test_what_is_not_declared_makes_no_subscription_and_no_service(rig: RosRig) -> None:
+def test_an_undeclared_type_makes_no_subscription_or_service(rig: RosRig) -> None:
     from sensor_msgs.msg import Imu
     from std_srvs.srv import SetBool
 
@@ -260,7 +260,7 @@ def must_be_refused(key: str, attack: Attack) -> bool:
     return (attack.not_finite and reads(key, attack.field) and not meant) or attack.huge or "1 MB" in attack.what
 
 
-def test_no_message_made_of_the_definitions_ends_a_node_and_bad_ones_are_refused(rig: RosRig, bus: str) -> None:
+def test_no_generated_message_ends_a_node_bad_ones_are_refused(rig: RosRig, bus: str) -> None:
     """Each field of each message that a node takes, alone and together; few values: the others in the long form."""
     with ScriptedVcu(bus, STATUS) as vcu:
         stack = Stack(rig, bus)
@@ -293,7 +293,7 @@ def requests(stack: Stack) -> Iterator[tuple[Node, Any]]:
             yield node, service
 
 
-def test_no_request_made_of_the_definitions_ends_a_node_and_each_has_its_answer(rig: RosRig, bus: str) -> None:
+def test_each_generated_request_has_its_answer(rig: RosRig, bus: str) -> None:
     stack = Stack(rig, bus)
     kept = {node: dict(node._parameters) for node in stack.nodes}
     for node, service in requests(stack):
@@ -348,7 +348,7 @@ def _set_to_anything(rig: RosRig, node: Node, name: str) -> None:
                 assert result.successful or result.reason, (name, field, str(value)[:30])
 
 
-def test_no_goal_made_of_the_definition_ends_the_bridge(rig: RosRig, bus: str) -> None:
+def test_no_generated_goal_ends_the_bridge(rig: RosRig, bus: str) -> None:
     bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
     for attack in attacks(RunMission.Goal):
         if attack.raw is None:
@@ -361,7 +361,7 @@ def test_no_goal_made_of_the_definition_ends_the_bridge(rig: RosRig, bus: str) -
 # ---------------------------------------------------------------- over the wire
 
 
-def test_what_was_kept_for_a_bridge_that_starts_is_refused_there(rig: RosRig, bus: str) -> None:
+def test_what_was_kept_for_a_bridge_that_starts_is_refused(rig: RosRig, bus: str) -> None:
     log = rig.log()
     confirmations = rig.tester.create_publisher(ResetConfirmation, "/reset_confirmation", qos.CONFIRMATION)
     confirmations.publish(ResetConfirmation(role="x" * 300_000, run_id=1))
@@ -374,7 +374,7 @@ def test_what_was_kept_for_a_bridge_that_starts_is_refused_there(rig: RosRig, bu
     assert answer.success
 
 
-def test_a_state_kept_for_planner_and_controller_that_is_no_number_is_refused(rig: RosRig) -> None:
+def test_a_kept_state_with_infinity_is_refused(rig: RosRig) -> None:
     log = rig.log()
     states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.STATE)
     states.publish(VehicleState(run_id=RUN, x=math.inf))
@@ -385,7 +385,7 @@ def test_a_state_kept_for_planner_and_controller_that_is_no_number_is_refused(ri
     assert [complaints_of(node).count("/vehicle_state") for node in nodes] == [1, 1]
 
 
-def test_a_hundred_thousand_cones_are_refused_before_they_are_unpacked(rig: RosRig) -> None:
+def test_100000_cones_are_refused_before_they_are_unpacked(rig: RosRig) -> None:
     log = rig.log()
     detector = rig.start(ConeDetector)
     cones = rig.tester.create_publisher(ConeArray, "/raw_cones", qos.profile(1))
@@ -400,7 +400,7 @@ def test_a_hundred_thousand_cones_are_refused_before_they_are_unpacked(rig: RosR
     assert detector._raw.silence(0) or detector._watch is None, "as if nothing had come"
 
 
-def test_a_refusal_is_said_at_once_and_then_once_a_second_with_its_count(rig: RosRig) -> None:
+def test_a_refusal_is_said_at_once_then_once_a_second(rig: RosRig) -> None:
     log = rig.log()
     complaints = complaints_of(rig.tester)
     for now_ns in (0, 1, 999_999_999, 1_000_000_000):

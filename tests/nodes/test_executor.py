@@ -54,7 +54,7 @@ def test_a_subscription_that_raises_is_called_again(rig: RosRig) -> None:
     rig.spin_until(said(log, "/flag raised"), "the error")
 
 
-def test_a_timer_a_task_and_an_answers_callback_that_raise_end_nothing(rig: RosRig) -> None:
+def test_timers_tasks_and_answers_callbacks_may_raise(rig: RosRig) -> None:
     log = rig.log()
     node = rig.add(Node("worker"))
     node.create_timer(0.01, fails, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -85,9 +85,7 @@ def test_a_service_that_raises_answers_no_and_why(rig: RosRig) -> None:
     rig.spin_until(said(log, "/broken raised"), "the error")
 
 
-def test_what_cannot_be_taken_from_the_middleware_makes_no_node_deaf(
-    rig: RosRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_taken_makes_no_node_deaf(rig: RosRig, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a request whose text cannot be decoded: the next one is heard."""
     log = rig.log()
     node = rig.add(Node("server"))
@@ -115,7 +113,7 @@ def test_what_cannot_be_taken_from_the_middleware_makes_no_node_deaf(
     assert rig.ask(Trigger, "/well").success
 
 
-def test_a_goal_and_a_cancel_callback_that_raise_end_nothing(rig: RosRig) -> None:
+def test_a_goal_and_a_cancel_callback_may_raise(rig: RosRig) -> None:
     log = rig.log()
     node = rig.add(Node("server"))
     server = ActionServer(node, RunMission, "run", fails, goal_callback=fails, cancel_callback=fails)
@@ -157,7 +155,7 @@ def test_use_sim_time_cannot_change_while_a_node_runs(rig: RosRig) -> None:
     assert not node.get_clock().ros_time_is_active
 
 
-def test_one_that_does_nothing_but_raise_for_a_second_says_so_in_diagnostics(rig: RosRig) -> None:
+def test_one_that_only_raises_for_a_second_is_in_diagnostics(rig: RosRig) -> None:
     log = rig.log()
     told = rig.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
     node = rig.add(Node("worker"))
@@ -194,7 +192,7 @@ def test_a_node_error_ends_the_node(rig: RosRig) -> None:
 
 
 @pytest.mark.parametrize("label", ["", "cleanup", "nonsense", "x" * 1000])
-def test_a_transition_that_the_state_does_not_allow_is_answered_no(rig: RosRig, bus: str, label: str) -> None:
+def test_a_transition_not_allowed_is_answered_no(rig: RosRig, bus: str, label: str) -> None:
     bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
     wrong = Transition(id=Transition.TRANSITION_CLEANUP, label=label)
     assert not rig.ask(ChangeState, "/vcu_bridge/change_state", transition=wrong).success
