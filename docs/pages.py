@@ -253,7 +253,7 @@ def parameters() -> str:
 
 
 def _interface() -> Iterator[tuple[str, str, str, str, str]]:
-    """What a node makes: its name; publisher, subscription, service or ActionServer; the name and the type that others
+    """What a node makes: its name; publisher, subscription, service or action; the name and the type that others
     see; what is said of the function that is called.
     """
     for node in CLASSES:
@@ -265,8 +265,8 @@ def _interface() -> Iterator[tuple[str, str, str, str, str]]:
         places = {kind: module.replace(".", "/") for module, kind in imports}
         words = {one.name: ast.get_docstring(one) or "" for one in tree if isinstance(one, ast.FunctionDef)}
         for call in tree:
-            name = ast.unparse(call.func).removeprefix("self.create_") if isinstance(call, ast.Call) else ""
-            if name in ("publisher", "subscription", "service", "ActionServer"):
+            name = ast.unparse(call.func).rpartition(".")[2] if isinstance(call, ast.Call) else ""
+            if name in ("publisher", "subscription", "service", "action"):
                 given = [ast.unparse(one) for one in (*call.args, *(keyword.value for keyword in call.keywords))]
                 kind, topic = given[given[0] in ("self", "node") :][:2]
                 called = next(filter(None, (words.get(one.removeprefix("self."), "") for one in given)), "")
@@ -303,8 +303,8 @@ def topics() -> str:
 
 
 def services() -> str:
-    made = [row for row in _interface() if row[1] in ("service", "ActionServer")]
-    rows = ((f"`{name}`", kind + " (action)" * (what == "ActionServer"), words) for _, what, name, kind, words in made)
+    made = [row for row in _interface() if row[1] in ("service", "action")]
+    rows = ((f"`{name}`", kind + " (action)" * (what == "action"), words) for _, what, name, kind, words in made)
     return _table(("name", "type", "what"), rows)
 
 

@@ -153,13 +153,13 @@ def test_cones_path_and_words_of_the_nodes_are_shown(browser: Chrome, with_nodes
 def test_of_silent_nodes_the_page_shows_the_silence_alone(
     browser: Chrome, driving: tuple[Any, Any], with_nodes: tuple[Any, Any]
 ) -> None:
-    silence = {"nodes": [["/vehicle_state of vcu_bridge has been silent for 2000 ms", "warning"]]}
+    silence = {"nodes": [["/vehicle_state of vcu_bridge: nothing received for 2000 ms", "warning"]]}
     with Server("127.0.0.1", 0) as server:
         with publishing(server, *with_nodes):
             opened(browser, server)
             until(browser, lambda: len(cones(browser)) == 5)
         with publishing(server, {**driving[0], **silence, "run": "2"}, with_nodes[1]):  # the story is not told anew yet
-            until(browser, lambda: "silent for 2000 ms" in text(browser, "bus"))
+            until(browser, lambda: "nothing received for 2000 ms" in text(browser, "bus"))
             assert cones(browser) == {} and text(browser, "track-name") == "way driven"
             assert [points(browser, name) for name in ("way", "path", "doubted", "stop")] == [1, 0, 0, 0]
 

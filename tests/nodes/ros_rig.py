@@ -21,7 +21,6 @@ from msgspec.structs import replace
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import Log
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -29,6 +28,7 @@ from rclpy.qos import QoSProfile
 from fsai_hil.rehearsal.stall_monitor import RUNS, StallMonitor
 from fsai_nodes import qos
 from fsai_nodes.conversions import BASE_FRAME
+from fsai_nodes.executor import NodeExecutor
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.codec import Codec
@@ -72,7 +72,7 @@ class RosRig:
 
     def __init__(self) -> None:
         rclpy.init()
-        self.executor = SingleThreadedExecutor()
+        self.executor = NodeExecutor()
         self.nodes: list[Node] = []
         self.tester = self.add(Node("tester"))
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from fsai_msgs.msg import Cone, ConeArray, RunState, VehicleState
+from fsai_msgs.msg import ConeArray, VehicleState
 from msgspec.structs import replace
 from sensor_msgs.msg import NavSatStatus
 
@@ -63,20 +63,6 @@ def test_no_cones_are_a_table_without_rows() -> None:
     assert back.xy_m.shape == (0, 2) and len(back.color) == 0 and len(back.confidence) == 0
 
 
-def test_cones_without_place_are_left_out_odd_colours_unknown() -> None:
-    message = ConeArray(
-        cones=[
-            Cone(x=math.nan, y=1.0, confidence=1.0),
-            Cone(x=1.0, y=math.inf, confidence=1.0),
-            Cone(x=1.0, y=1.0, confidence=math.nan),
-            Cone(x=2.0, y=3.0, color=77, confidence=1.0),
-        ]
-    )
-    back = to.cones_from_msg(message, 1)
-    np.testing.assert_array_equal(back.xy_m, [[2.0, 3.0]])
-    assert back.color.tolist() == [ConeColor.UNKNOWN]
-
-
 @pytest.mark.parametrize("stop_distance_m", [None, 0.0, 12.5])
 def test_a_plan_comes_back_as_it_was(stop_distance_m: float | None) -> None:
     path_m = np.array([[0.5, 0.0], [1.0, 0.1], [1.5, 0.3]])
@@ -84,7 +70,6 @@ def test_a_plan_comes_back_as_it_was(stop_distance_m: float | None) -> None:
     status, path = to.plan_to_msgs(plan, STAMP)
     assert status.header.stamp == path.header.stamp == STAMP
     back = to.plan_from_msgs(status, path, 7)
-    assert back is not None
     np.testing.assert_array_equal(back.path_m, path_m)
     for name in ("t_sensor_ns", "run_id", "mission", "laps", "finished", "stop_distance_m", "cones_count_all"):
         assert getattr(back, name) == getattr(plan, name), name
@@ -102,17 +87,7 @@ def test_the_poses_of_a_path_look_along_it() -> None:
 def test_an_empty_path_comes_with_its_reason() -> None:
     plan = Plan(7, 3, Ami.TRACKDRIVE, np.zeros((0, 2)), note="no lane among 7 cones")
     back = to.plan_from_msgs(*to.plan_to_msgs(plan, STAMP), 7)
-    assert back is not None and (len(back.path_m), back.note) == (0, plan.note)
-
-
-def test_a_path_with_nan_or_an_unknown_mission_is_none() -> None:
-    plan = Plan(7, 3, Ami.TRACKDRIVE, np.array([[0.5, 0.0], [1.0, 0.1]]))
-    status, path = to.plan_to_msgs(plan, STAMP)
-    path.poses[1].pose.position.x = math.nan
-    assert to.plan_from_msgs(status, path, 7) is None
-    status, path = to.plan_to_msgs(plan, STAMP)
-    status.mission = 99
-    assert to.plan_from_msgs(status, path, 7) is None
+    assert (len(back.path_m), back.note) == (0, plan.note)
 
 
 def test_a_command_comes_back_as_it_was_even_a_bad_one() -> None:
@@ -132,11 +107,6 @@ def test_a_run_comes_back_as_it_was(as_state: AsState | None) -> None:
     run = Run(17, Ami.SKIDPAD, as_state, as_state is AsState.AS_DRIVING)
     message = to.run_to_msg(run, "autonomous", STAMP)
     assert to.run_from_msg(message) == run and message.mode == "autonomous"
-
-
-def test_a_run_with_values_outside_the_tables_is_refused() -> None:
-    run = to.run_from_msg(RunState(run_id=1, mission=99, as_state=77, may_move=True))
-    assert run.mission is Ami.NOT_SELECTED and run.as_state is None
 
 
 def report_after(*images: object, now_ns: int = 1_000_000_000):  # type: ignore[no-untyped-def]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import pytest
+import sys
 
-from fsai_nodes.mission_goal import GOALS, GoalError, GoalResult, Waiting
+import pytest
+from fsai_msgs.action import RunMission
+
+from fsai_nodes.declarations import declared
+from fsai_nodes.mission_goal import GOALS, GoalResult, Waiting
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import S
 
@@ -110,11 +114,23 @@ def test_every_goal_can_be_reached() -> None:
     [
         ("", "done", 0.0, ", ".join(GOALS)),
         ("drag race", "finished", 0.0, "acceleration, skidpad, autocross, trackdrive"),
-        *(("", "finished", timeout_s, "timeout_s") for timeout_s in (-1.0, float("nan"), float("inf"))),
+        *(
+            ("", "finished", timeout_s, "timeout_s")
+            for timeout_s in (-1.0, float("nan"), float("inf"), sys.float_info.max)
+        ),
     ],
 )
 def test_a_goal_that_is_none_is_refused_by_naming_the_valid_ones(
     mission: str, until: str, timeout_s: float, words: str
 ) -> None:
-    with pytest.raises(GoalError, match=words):
-        Waiting(mission, until, timeout_s, 0)
+    goal = RunMission.Goal(mission=mission, until=until, timeout_s=timeout_s)
+    assert words in declared(RunMission.Goal).misfit(goal, "")
+
+
+@pytest.mark.parametrize("mission", ["", "Trackdrive", "skidpad"])
+def test_a_goal_may_name_the_mission_as_it_likes(mission: str) -> None:
+    assert declared(RunMission.Goal).misfit(RunMission.Goal(mission=mission, until="end", timeout_s=60.0), "") == ""
+
+
+def test_the_longest_timeout_there_is_ends_nothing() -> None:
+    assert Waiting("", "", sys.float_info.max, 0).step(READY, Ami.TRACKDRIVE, 10**18) is None

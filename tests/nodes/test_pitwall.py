@@ -146,7 +146,7 @@ def test_a_silent_planner_is_named_and_its_path_gone(nodes: Nodes, wall: PitWall
     def named() -> bool:
         nodes.say("vehicle_state", "detected_cones", "vehicle_cmd")
         now = drawn(wall)
-        silent = [urgency for said, urgency in now["nodes"] if said.startswith("/path of tester has been silent for")]
+        silent = [urgency for said, urgency in now["nodes"] if said.startswith("/path of tester: nothing received for")]
         return silent == ["warning"] and now.get("path_cm") == [] and bool(now["seen_cm"])
 
     nodes.rig.spin_until(named, "the planner's silence")
@@ -166,7 +166,7 @@ def test_of_silent_nodes_nothing_is_left_to_draw(nodes: Nodes, wall: PitWall) ->
     nodes.rig.spin_until(silent, "the bridge's silence")
     now, before = looks[-1]
     ((said, urgency),) = now.pop("nodes")
-    assert said.startswith("/vehicle_state of tester has been silent for") and urgency == "warning"
+    assert said.startswith("/vehicle_state of tester: nothing received for") and urgency == "warning"
     assert (now, before) == ({}, {})
 
 
@@ -212,7 +212,7 @@ def test_what_bridge_planner_and_controller_say_is_shown(nodes: Nodes, wall: Pit
         return words(wall) == wanted
 
     nodes.rig.spin_until(said, "all words")
-    nodes.status["late"] = "/detected_cones of x has been silent for 300 ms"
+    nodes.status["late"] = "/detected_cones of x: nothing received for 300 ms"
 
     def late() -> bool:
         nodes.say()
@@ -272,4 +272,4 @@ def test_the_verb_serves_bus_and_nodes_and_then_the_bus(nodes: Nodes, bus: str) 
             said = process.communicate(timeout=60)
     assert (process.returncode, said) == (0, ("", ""))
     assert known == {"stop", "cones_cm"} and event["pose"] == [0.0, 0.0, 0.0]
-    assert event["nodes"][0][0].startswith("/vehicle_state of tester has been silent for")
+    assert event["nodes"][0][0].startswith("/vehicle_state of tester: nothing received for")

@@ -88,9 +88,9 @@ STALE = words_of("command_stale")
 
 def test_a_stale_command_is_an_error_that_names_the_silent_node() -> None:
     stale = replace(counted(S, command_stale=1), reasons=("command_stale",), reason_details={"command_stale": "100 ms"})
-    named = Culprit().named(stale, lambda: "/vehicle_cmd of driver has been silent for 60 ms")
+    named = Culprit().named(stale, lambda: "/vehicle_cmd of driver: nothing received for 60 ms")
     (line,) = started().of(named)
-    assert line == ReportLine(f"{STALE} (/vehicle_cmd of driver has been silent for 60 ms)", "error")
+    assert line == ReportLine(f"{STALE} (/vehicle_cmd of driver: nothing received for 60 ms)", "error")
     assert named.sentences == (line.text,)
 
 

@@ -10,6 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 
+from fsai_nodes.complaints import complaints_of
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.clocks import AHEAD_NS, StampConverter
@@ -18,7 +19,8 @@ from fsai_vcu.runtime.clocks import AHEAD_NS, StampConverter
 LATE_NS = BridgeConfig().sensor_stale_ns // 2
 WATCH_S = 0.1  # how often a node looks whether its input has fallen silent
 _READ_AGAIN = 3  # times at most
-_SAME_REFUSAL_EVERY_NS = 1_000_000_000
+_STANDS_NS = S // 2  # a clock that has not moved for so long stands still
+_ELSEWHERE_NS = S  # from this computer's
 
 
 def nanoseconds(stamp: Time) -> int:
@@ -33,8 +35,8 @@ class Clocks:
         self._ros_clock = node.get_clock()
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._stamps = StampConverter()
-        self._refusal_said_ns: dict[str, int] = {}  # by topic
-        self._stamps.observe(self._ros_clock.now().nanoseconds, time.monotonic_ns())
+        self._ros_ns, self._moved_ns = self._ros_clock.now().nanoseconds, time.monotonic_ns()
+        self._stamps.observe(self._ros_ns, self._moved_ns)
 
     def now_ns(self) -> int:
         """The monotonic clock; notes its offset to ROS time in passing."""
@@ -45,7 +47,39 @@ class Clocks:
             if after_ns - before_ns < 500_000:  # else this thread was put aside between the readings: not one instant
                 self._stamps.observe(ros_ns, (before_ns + after_ns) // 2)
                 break
+        if ros_ns != self._ros_ns:
+            self._ros_ns, self._moved_ns = ros_ns, after_ns
         return after_ns
+
+    def wrong(self, now_ns: int) -> str:
+        """What is wrong with this node's own clock, in words; empty where it is this computer's, or beside it.
+
+        It is another one with use_sim_time: then it is what /clock says.
+        """
+        if not self._ros_clock.ros_time_is_active:
+            return ""
+        if now_ns - self._moved_ns >= _STANDS_NS:
+            return (
+                f"this node's own clock stands still at {self._ros_ns / 1e9:.0f} s: use_sim_time is set, and nothing "
+                "comes on /clock"
+            )
+        ahead_ns = self._ros_ns - time.time_ns()
+        if abs(ahead_ns) < _ELSEWHERE_NS:
+            return ""
+        where = "ahead of" if ahead_ns > 0 else "behind"
+        return (
+            f"this node's own clock is {abs(ahead_ns) / 1e9:.0f} s {where} this computer's: use_sim_time is set, and "
+            "/clock says so"
+        )
+
+    def watch(self) -> None:
+        """From now on the node itself says it when its clock stands still."""
+        self.every(_STANDS_NS / 1e9, self._watch)
+
+    def _watch(self) -> None:
+        now_ns = self.now_ns()
+        if now_ns - self._moved_ns >= _STANDS_NS and (words := self.wrong(now_ns)):
+            complaints_of(self._node).say("clock", words, "error")
 
     def steady_of(self, stamp: Time, now_ns: int) -> int:
         """Monotonic time of a header stamp; later than `now_ns` only if the stamp is more than 20 ms ahead."""
@@ -59,13 +93,15 @@ class Clocks:
         t_ns = self.steady_of(stamp, now_ns)
         if t_ns <= now_ns:
             return t_ns
-        said_ns = self._refusal_said_ns.get(topic)
-        if said_ns is None or now_ns - said_ns >= _SAME_REFUSAL_EVERY_NS:
-            self._refusal_said_ns[topic] = now_ns
-            self._node.get_logger().error(
-                f"{self._node.resolve_topic_name(topic)} refused: its stamp is {(t_ns - now_ns) / 1e6:.0f} ms ahead "
-                f"of this computer's clock ({AHEAD_NS / 1e6:.0f} ms at most); is the sender's clock right?"
-            )
+        name = self._node.resolve_topic_name(topic)
+        if words := self.wrong(now_ns):
+            complaints_of(self._node).say("clock", f"{words}; {name} is refused, for its stamp says nothing", "error")
+            return None
+        words = (
+            f"{name} refused: its stamp is {(t_ns - now_ns) / 1e6:.0f} ms ahead of this computer's clock "
+            f"({AHEAD_NS / 1e6:.0f} ms at most); is the sender's clock right?"
+        )
+        complaints_of(self._node).say(name, words, "error")
         return None
 
     def stamp_of(self, steady_ns: int) -> Time:
@@ -84,9 +120,16 @@ class Input:
     Times are the monotonic clock's. What it says is for people: which node is silent, or sends old data.
     """
 
-    def __init__(self, node: Node, topic: str, *, silent_ns: int = LATE_NS, note: str = "") -> None:
-        """`silent_ns`: without a message for so long it is silent. `note`: who else may be the cause."""
+    def __init__(
+        self, node: Node, topic: str, *, silent_ns: int = LATE_NS, note: str = "", clocks: Clocks | None = None
+    ) -> None:
+        """`silent_ns`: without a message for so long it is silent. `note`: who else may be the cause.
+
+        clocks: the node's; where its own clock is wrong, what it says of the ages of others is worth nothing.
+        """
         self._node = node
+        self._clocks = clocks
+        self._refused: tuple[str, int] = "", 0  # the last refusal, in words, and when
         self._topic = topic
         self._silent_ns = silent_ns
         self._note = f" ({note})" if note else ""
@@ -103,21 +146,31 @@ class Input:
             self._look_ns = now_ns + S
             self._look()
 
+    def refused(self, words: str) -> None:
+        """A message came, and was refused: that is another thing than silence."""
+        self._refused = words, time.monotonic_ns()
+
     def forget(self) -> None:
         """As if nothing had ever been received."""
         self._received_ns, self._age_ns, self._said = None, 0, False
 
     def silence(self, now_ns: int) -> str:
         """In words for how long nothing has come; empty while something comes."""
+        words, refused_ns = self._refused
+        refused = words if now_ns - refused_ns < self._silent_ns else ""
         if self._received_ns is None:
-            return f"{self.who().rstrip(',')}: nothing received yet{self._note}"
+            return refused or f"{self.who()}: nothing received yet{self._note}"
         silent_ns = now_ns - self._received_ns
         if silent_ns < self._silent_ns:
             return ""
-        return f"{self.who()} has been silent for {silent_ns / 1e6:.0f} ms{self._note}"
+        return refused or f"{self.who()}: nothing received for {silent_ns / 1e6:.0f} ms{self._note}"
 
     def old_data(self) -> str:
         """In words what is wrong with the data that came last; empty if nothing is."""
+        if self._age_ns < 0 or self._age_ns >= LATE_NS:
+            wrong = "" if self._clocks is None else self._clocks.wrong(self._clocks.now_ns())
+            if wrong:
+                return wrong
         if self._age_ns < 0:
             return f"{self.who()} is stamped {-self._age_ns / 1e6:.0f} ms ahead of the clock{self._note}"
         if self._age_ns < LATE_NS:
@@ -144,7 +197,7 @@ class Input:
         names = " and ".join(self._publishers)
         if there:
             return f"{topic} of {names}" if names else topic
-        return f"{topic} of {names}, which has ended," if names else f"{topic}, which nobody publishes,"
+        return f"{topic} of {names}, which has ended" if names else f"{topic}, which nobody publishes"
 
     def _look(self) -> tuple[str, bool]:
         """The topic's whole name, and whether anybody publishes it now."""

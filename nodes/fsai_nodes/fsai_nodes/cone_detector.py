@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
-from fsai_msgs.msg import Cone, ConeArray
+from fsai_msgs.msg import ConeArray
 from rclpy.node import Node
 from rclpy.timer import Timer
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
+from fsai_nodes.door import Door
 from fsai_nodes.parameters import Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.qos import publisher
 
 SETTINGS = of_the_file("cone_detector", live=True)
-
-
-def believable(cone: Cone, threshold: float) -> bool:
-    """Whether a cone counts: sure enough, and at a place that is one (a NaN is refused by every comparison)."""
-    return cone.confidence >= threshold and math.isfinite(cone.x) and math.isfinite(cone.y)
 
 
 class ConeDetector(Node):
@@ -30,9 +25,10 @@ class ConeDetector(Node):
         self._settings = Settings(self, SETTINGS, self._on_change)
         self._on_change("confidence_threshold")
         self._clocks = Clocks(self)
-        self._raw = Input(self, "raw_cones")
+        self._raw = Input(self, "raw_cones", clocks=self._clocks)
         self._publisher = publisher(self, ConeArray, "detected_cones")
-        self.create_subscription(ConeArray, "raw_cones", self._on_cones, TOPICS["raw_cones"])
+        Door(self).subscription(ConeArray, "raw_cones", self._on_cones, refused=self._raw.refused)
+        self._clocks.watch()
         self._watch: Timer | None = None
 
     def _on_change(self, _name: str) -> None:
@@ -42,7 +38,7 @@ class ConeDetector(Node):
         self._raw.received(self._clocks.now_ns())
         if self._watch is None:  # only who has spoken can fall silent
             self._watch = self._clocks.every(WATCH_S, lambda: self._raw.watch(self._clocks.now_ns()))
-        raw.cones = [cone for cone in raw.cones if believable(cone, self._threshold)]
+        raw.cones = [cone for cone in raw.cones if cone.confidence >= self._threshold]
         self._publisher.publish(raw)
 
 

@@ -60,16 +60,10 @@ def cones_to_msg(observation: ConeObservation, stamp: Time) -> ConeArray:
 
 
 def cones_from_msg(message: ConeArray, t_ns: int) -> ConeObservation:
-    """`t_ns`: the monotonic time of the message's stamp. Cones with a NaN or an infinity in them are left out."""
-    rows = [
-        (cone.x, cone.y, cone.color, cone.confidence)
-        for cone in message.cones
-        if math.isfinite(cone.x) and math.isfinite(cone.y) and math.isfinite(cone.confidence)
-    ]
+    """`t_ns`: the monotonic time of the message's stamp."""
+    rows = [(cone.x, cone.y, cone.color, cone.confidence) for cone in message.cones]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    color = table[:, 2].astype(np.int64)
-    color[color > Cone.BIG_ORANGE] = Cone.UNKNOWN
-    return ConeObservation(t_ns, table[:, :2].copy(), color, table[:, 3].copy())
+    return ConeObservation(t_ns, table[:, :2].copy(), table[:, 2].astype(np.int64), table[:, 3].copy())
 
 
 # ---------------------------------------------------------------- plan
@@ -113,28 +107,20 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
     return status, path_to_msg(plan.path_m, stamp)
 
 
-def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan | None:
-    """None when the path holds a number that is none, or the mission is outside the table."""
+def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan:
     points = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
-    path_m = np.array(points, dtype=np.float64).reshape(-1, 2)
-    if not np.isfinite(path_m).all():
-        return None
-    try:
-        mission = Ami(status.mission)
-    except ValueError:
-        return None
     return Plan(
         t_sensor_ns=t_sensor_ns,
         run_id=status.run_id,
-        mission=mission,
-        path_m=path_m,
+        mission=Ami(status.mission),
+        path_m=np.array(points, dtype=np.float64).reshape(-1, 2),
         laps=status.laps,
         finished=status.finished,
-        stop_distance_m=status.stop_distance_m if math.isfinite(status.stop_distance_m) else None,
+        stop_distance_m=None if math.isnan(status.stop_distance_m) else status.stop_distance_m,
         cones_count_actual=status.cones_count_actual,
         cones_count_all=status.cones_count_all,
-        supported_m=math.inf if status.supported_m == 0.0 else max(0.0, status.supported_m),
-        confidence=status.confidence if math.isfinite(status.confidence) else 0.0,
+        supported_m=status.supported_m or math.inf,
+        confidence=status.confidence,
         mapped=status.mapped,
         note=status.note,
     )
@@ -156,7 +142,7 @@ def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
 
 
 def command_from_msg(message: VehicleCommandMsg, t_sensor_ns: int) -> VehicleCommand:
-    """As received, good or bad: whether to believe it is the gate's decision."""
+    """As received: what the car's own limits say of it is the gate's decision."""
     return VehicleCommand(t_sensor_ns, **{name: getattr(message, name) for name in _COMMANDED})
 
 
@@ -176,10 +162,8 @@ def run_to_msg(run: Run, mode: str, stamp: Time) -> RunState:
 
 
 def run_from_msg(message: RunState) -> Run:
-    """Values outside the tables become 'no mission' and 'not received': nothing can be driven by either."""
-    mission = Ami(message.mission) if message.mission in Ami._value2member_map_ else Ami.NOT_SELECTED
-    as_state = AsState(message.as_state) if message.as_state in AsState._value2member_map_ else None
-    return Run(message.run_id, mission, as_state, message.may_move)
+    as_state = None if message.as_state == UNKNOWN else AsState(message.as_state)
+    return Run(message.run_id, Ami(message.mission), as_state, message.may_move)
 
 
 def motion_from_state(message: VehicleStateMsg, t_ns: int) -> Motion:

@@ -19,9 +19,10 @@ from std_srvs.srv import Trigger
 
 from fsai_nodes.clocks import Clocks, nanoseconds
 from fsai_nodes.conversions import BASE_FRAME, motion_from_state, odometry_to_msg
+from fsai_nodes.door import Door
 from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.process import run
-from fsai_nodes.qos import SENSOR, TOPICS, publisher
+from fsai_nodes.qos import SENSOR, publisher
 from fsai_vcu.core.vehicle.forces import brake_for, throttle_for
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
@@ -155,21 +156,23 @@ class EufsAdapter(Node):
         self._sent = self.create_publisher(VehicleCommandsStamped, "ros_can/vehicle_commands", 1)
         self._car_state = self.create_publisher(CarState, "odometry_integration/car_state", 1)
         self._cones = self.create_publisher(ConeArrayWithCovariance, "fusion/cones", 1)
-        self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
-        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
-        self.create_subscription(ConeArray, "detected_cones", self._on_cones, TOPICS["detected_cones"])
+        door = Door(self)
+        door.subscription(RunState, "run_state", self._on_run)
+        door.subscription(VehicleState, "vehicle_state", self._on_state)
+        door.subscription(ConeArray, "detected_cones", self._on_cones)
         # As best effort each of them is received, whatever the stack promises.
-        self.create_subscription(AckermannDriveStamped, "cmd", self._on_cmd, SENSOR)
-        self.create_subscription(Bool, "state_machine/driving_flag", self._on_driving_flag, SENSOR)
-        self.create_subscription(Bool, "ros_can/mission_completed", self._on_completed, SENSOR)
+        door.subscription(AckermannDriveStamped, "cmd", self._on_cmd, qos=SENSOR)
+        door.subscription(Bool, "state_machine/driving_flag", self._on_driving_flag, qos=SENSOR)
+        door.subscription(Bool, "ros_can/mission_completed", self._on_completed, qos=SENSOR)
         # A group of their own: a service of this node waits for their answers.
         group = ReentrantCallbackGroup()
         self._asked = {
             name: self.create_client(Trigger, name, callback_group=group) for name in ("emergency_brake", "reset")
         }
-        self.create_service(Trigger, "ros_can/ebs", partial(self._ask, self._asked["emergency_brake"]))
-        self.create_service(Trigger, "ros_can/reset", partial(self._ask, self._asked["reset"]))
-        self.create_service(SetCanState, "ros_can/set_mission", self._on_set_mission)
+        door.service(Trigger, "ros_can/ebs", partial(self._ask, self._asked["emergency_brake"]))
+        door.service(Trigger, "ros_can/reset", partial(self._ask, self._asked["reset"]))
+        door.service(SetCanState, "ros_can/set_mission", self._on_set_mission)
+        self._clocks.watch()
         self._clocks.every(PERIOD_S, self._tick)
 
     def _forget(self) -> None:
@@ -216,10 +219,6 @@ class EufsAdapter(Node):
     # ------------------------------------------------------------ from the stack to the bridge
 
     def _on_cmd(self, message: AckermannDriveStamped) -> None:
-        drive = message.drive
-        if not all(map(math.isfinite, (drive.steering_angle, drive.acceleration, drive.speed))):
-            self.get_logger().warning("/cmd refused: it holds a number that is none", throttle_duration_sec=1.0)
-            return
         self._cmd, self._cmd_ns = message, self._clocks.now_ns()
 
     def _on_driving_flag(self, message: Bool) -> None:

@@ -9,10 +9,10 @@ import time
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from fsai_nodes.executor import NodeExecutor
 from fsai_vcu.runtime.transport import enclave_words, set_transport
 
 TURN_S = 0.1
@@ -43,7 +43,7 @@ class Listener:
         except InvalidNamespaceException as error:
             self._context.try_shutdown()
             raise ValueError(f"{namespace} is no ROS namespace; one is like /car1") from error
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = NodeExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.heard_ns = time.monotonic_ns()
         self.error: Exception | None = None

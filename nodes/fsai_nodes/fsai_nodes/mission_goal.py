@@ -36,6 +36,7 @@ GOALS: Mapping[str, Goal] = MappingProxyType(
     }
 )
 DEFAULT_GOAL = "finished"
+MISSIONS: Mapping[str, Ami] = MappingProxyType({ami.name.lower(): ami for ami in Ami if ami is not Ami.NOT_SELECTED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,25 +48,14 @@ class GoalResult:
     message: str
 
 
-class GoalError(ValueError):
-    """A goal that cannot be waited for; the message is one clear line."""
-
-
 class Waiting:
     """One goal being waited for. Fed with what the car says; returns an outcome once."""
 
     def __init__(self, mission: str, until: str, timeout_s: float, now_ns: int) -> None:
-        """Raises GoalError for an unknown mission or goal, or a timeout that is no time."""
+        """As declared for RunMission: a mission or none, one of GOALS or none, 0 s or more (0: no limit)."""
         self.until = until or DEFAULT_GOAL
-        if self.until not in GOALS:
-            raise GoalError(f"unknown goal '{until}': wait until one of {', '.join(GOALS)}")
-        missions = {ami.name.lower(): ami for ami in Ami if ami is not Ami.NOT_SELECTED}
-        if mission and mission.lower() not in missions:
-            raise GoalError(f"unknown mission '{mission}': one of {', '.join(missions)}, or none for any")
-        if not 0.0 <= timeout_s < float("inf"):
-            raise GoalError(f"timeout_s is {timeout_s}: 0 or more seconds")
-        self._mission = missions.get(mission.lower())
-        self._timeout_ns = round(timeout_s * 1e9)
+        self._mission = MISSIONS.get(mission.lower())
+        self._timeout_s = timeout_s
         self._began_ns = now_ns
         self._before: AsState | None = None
         self._drove = False
@@ -99,7 +89,7 @@ class Waiting:
                 return GoalResult(False, "missed", f"{as_state.label} instead of {self.until}")
             if goal.lost_by_off and self._drove and as_state in OFF_LIKE:
                 return GoalResult(False, "missed", f"{as_state.label} after AS_DRIVING, instead of {self.until}")
-        if self._timeout_ns and now_ns - self._began_ns >= self._timeout_ns:
+        if self._timeout_s and now_ns - self._began_ns >= self._timeout_s * 1e9:
             state = "nothing received from the car" if as_state is None else f"the car is in {as_state.label}"
-            return GoalResult(False, "timeout", f"not {self.until} within {self._timeout_ns / 1e9:g} s: {state}")
+            return GoalResult(False, "timeout", f"not {self.until} within {self._timeout_s:g} s: {state}")
         return None

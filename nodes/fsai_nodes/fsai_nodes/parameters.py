@@ -21,9 +21,12 @@ from rclpy.exceptions import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fsai_nodes.fields import shown
+from fsai_nodes.middleware import on_parameters
 from fsai_vcu.runtime.configuration import KEYS
 
 Value = bool | int | float | str
+MOST_CHARACTERS = 4000  # of a text
 
 
 class NodeError(Exception):
@@ -72,9 +75,11 @@ class NodeParameter:
         wanted = type(self.default)
         whole = isinstance(self.default, (float, str)) and isinstance(value, int) and not isinstance(value, bool)
         if type(value) is not wanted and not whole:
-            return f"{self.name} must be {_TYPE_WORDS[wanted]}, not {value!r}"
+            return f"{self.name} must be {_TYPE_WORDS[wanted]}, not {shown(value)}"
+        if isinstance(value, str) and (len(value) > MOST_CHARACTERS or not value.isprintable()):
+            return f"{self.name} must be one line of at most {MOST_CHARACTERS} characters, not {shown(value)}"
         if self.choices and str(value) not in self.choices:
-            return f"{self.name} must be one of {', '.join(self.choices)}, not '{value}'"
+            return f"{self.name} must be one of {', '.join(self.choices)}, not {shown(str(value))}"
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             if not math.isfinite(value):
                 return f"{self.name} must be a finite number, not {value}"
@@ -103,6 +108,7 @@ def of_the_file(node: str, note: str = "", *, live: bool = False) -> tuple[NodeP
     )
 
 
+CLOCK = "use_sim_time"  # rclpy's own: whose time the stamps are
 _TYPE_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
@@ -205,9 +211,7 @@ class Settings:
         for setting in table:
             self._declare(setting)
         self._refuse_unknown()
-        node.add_pre_set_parameters_callback(self._only_known)
-        node.add_on_set_parameters_callback(self._accept)
-        node.add_post_set_parameters_callback(self._changed)
+        on_parameters(node, self._only_known, self._accept, self._changed)
 
     def number(self, name: str) -> float:
         return float(self._node.get_parameter(name).value)
@@ -270,17 +274,22 @@ class Settings:
 
     def _accept(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         for parameter in parameters:
-            setting = self._table.get(parameter.name)
-            if setting is None:
-                continue
-            problem = setting.problem(parameter.value)
-            if problem is None and not setting.live:
-                busy = self._busy()
-                problem = f"{setting.name} cannot change now: {busy}" if busy else None
-            if problem:
+            if problem := self._why_not(parameter):
                 self._node.get_logger().warning(f"parameter refused: {problem}")
                 return SetParametersResult(successful=False, reason=problem)
         return SetParametersResult(successful=True)
+
+    def _why_not(self, parameter: Parameter) -> str | None:
+        """Why it cannot be set; None where it can."""
+        if parameter.name == CLOCK and parameter.value != self._node.get_parameter(CLOCK).value:
+            return f"{CLOCK} cannot change while the node runs: restart it with the new value"
+        setting = self._table.get(parameter.name)
+        if setting is None:
+            return None
+        problem = setting.problem(parameter.value)
+        if problem is None and not setting.live and (busy := self._busy()):
+            problem = f"{setting.name} cannot change now: {busy}"
+        return problem
 
     def _changed(self, parameters: Iterable[Parameter]) -> None:
         for parameter in parameters:

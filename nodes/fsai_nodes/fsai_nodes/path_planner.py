@@ -12,9 +12,10 @@ from rclpy.node import Node
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
+from fsai_nodes.door import Door
 from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.qos import publisher
 from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -46,13 +47,15 @@ class PathPlanner(Node):
         self._planner = self._new_planner()
         self._run: Run | None = None
         self._motion: Motion | None = None
-        self._cones = Input(self, "detected_cones", note="it, or the sensors before it")
+        self._cones = Input(self, "detected_cones", note="it, or the sensors before it", clocks=self._clocks)
         self._path = publisher(self, Path, "path")
         self._status = publisher(self, PlannerStatus, "planner_status")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
-        self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
-        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
-        self.create_subscription(ConeArray, "detected_cones", self._on_cones, TOPICS["detected_cones"])
+        door = Door(self)
+        door.subscription(RunState, "run_state", self._on_run)
+        door.subscription(VehicleState, "vehicle_state", self._on_state)
+        door.subscription(ConeArray, "detected_cones", self._on_cones, refused=self._cones.refused)
+        self._clocks.watch()
         self._clocks.every(WATCH_S, self._watch)
 
     def _new_planner(self) -> Planner:

@@ -15,6 +15,7 @@ from nav_msgs.msg import Path
 
 from fsai_nodes.clocks import Clocks, Input
 from fsai_nodes.conversions import plan_from_msgs
+from fsai_nodes.door import Door
 from fsai_nodes.listener import Listener
 from fsai_nodes.qos import profile
 from fsai_nodes.scene import Scene
@@ -42,6 +43,7 @@ class PitWall(Listener):
         self._command = VehicleCommand()
         self._inputs: dict[str, Input] = {}
         self._newest_ns: dict[str, int] = {}  # of what was measured
+        door = Door(self._node, publishes=False)
         for topic, kind, take in (
             ("vehicle_state", VehicleState, self._on_state),
             ("detected_cones", ConeArray, self._scene.on_cones),
@@ -50,8 +52,14 @@ class PitWall(Listener):
             ("vehicle_cmd", VehicleCommand, self._on_command),
         ):
             silent_ns = SILENT_NS if topic == "vehicle_state" else SHOWN_NS
-            self._inputs[topic] = Input(self._node, topic, silent_ns=silent_ns)
-            self._node.create_subscription(kind, topic, self._taker(topic, take), profile(5, reliable=False))
+            self._inputs[topic] = Input(self._node, topic, silent_ns=silent_ns, clocks=self._clocks)
+            door.subscription(
+                kind,
+                topic,
+                self._taker(topic, take),
+                qos=profile(5, reliable=False),
+                refused=self._inputs[topic].refused,
+            )
 
     def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """As JSON types: what changes all the time, and the longer rest.

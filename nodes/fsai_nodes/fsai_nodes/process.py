@@ -13,13 +13,13 @@ from tempfile import TemporaryFile
 
 import rclpy
 import rclpy.logging
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fsai_nodes.clock_step import on_clock_step
 from fsai_nodes.clocks import Clocks
 from fsai_nodes.config_arguments import Configured
+from fsai_nodes.executor import NodeExecutor
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.transport import set_transport
@@ -50,7 +50,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     source.setLevel(logging.INFO)
     source.addHandler(_RosHandler())
     source.propagate = False
-    executor = SingleThreadedExecutor()
+    executor = NodeExecutor()
     stop_signals.wake(lambda: executor.create_task(lambda: None))
     on_clock_step(lambda: executor.create_task(lambda: None))
     nodes: list[Node] = []

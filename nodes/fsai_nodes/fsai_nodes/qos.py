@@ -7,10 +7,11 @@ from types import MappingProxyType
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from fsai_nodes.middleware import without_events
 
 # A command older than this is stale for the bridge too (safety: vehicle command stale after 100 ms), so the
 # middleware need not deliver it. No deadline is asked for: a publisher that does not promise one would not be heard at
@@ -64,10 +65,5 @@ FRAMES: Mapping[str, QoSProfile] = MappingProxyType({"/tf": profile(100), "/tf_s
 
 
 def publisher(node: Node, message_type: type[Any], topic: str) -> Publisher:
-    """A publisher with the tables' quality of service.
-
-    Without rclpy's default event handlers: each is one more thing to wait for, every time that a node waits. The
-    subscriptions keep theirs, so a mismatch is still reported, on the side where something is missing.
-    """
-    events = PublisherEventCallbacks(use_default_callbacks=False)
-    return node.create_publisher(message_type, topic, {**TOPICS, **FRAMES}[topic], event_callbacks=events)
+    """A publisher with the tables' quality of service."""
+    return node.create_publisher(message_type, topic, {**TOPICS, **FRAMES}[topic], **without_events())

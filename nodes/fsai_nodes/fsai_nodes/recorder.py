@@ -20,6 +20,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
+from fsai_nodes.door import Door
 from fsai_nodes.listener import Listener
 from fsai_nodes.qos import TOPICS, profile
 from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
@@ -41,6 +42,7 @@ class TopicRecorder(Listener):
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         super().__init__("recorder", namespace)
+        self._door = Door(self._node, publishes=False)
         self._wanted = {self._node.resolve_topic_name(topic) for topic in topics}
         self._node.create_timer(LOOK_AGAIN_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -81,9 +83,7 @@ class TopicRecorder(Listener):
             return
         qos = self._qos_for(name)
         topic = RosTopic(name, types[0], definition, _yaml(qos))
-        self._subscriptions[name] = self._node.create_subscription(
-            message_type, name, self._taker(topic), qos, raw=True
-        )
+        self._subscriptions[name] = self._door.recorded(message_type, name, self._taker(topic), qos)
 
     def _taker(self, topic: RosTopic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, info: dict[str, Any]) -> None:

@@ -16,6 +16,7 @@ from fsai_vcu.interface.enums import AsState
 
 SAME_REASON_EVERY_NS = 1_000_000_000
 _STALE = Reason.COMMAND_STALE.slug
+_REFUSED = Reason.COMMAND_REFUSED.slug
 _LATE_LOOP = Reason.LOOP_FAULT.slug
 
 Level = Literal["info", "warning", "error"]
@@ -51,6 +52,15 @@ class Culprit:
         named = f"{words}: {self._silence}"
         why = tuple(line.replace(stopping, named) for line in report.why_not_driving)
         return replace(report, reason_details=details, stopping=named, why_not_driving=why)
+
+
+def with_refused(report: BridgeReport, count: int, words: str) -> BridgeReport:
+    """The report, with `count` commands that the door refused before they came to the loop; `words`: the last one."""
+    if not count:
+        return report
+    counts = {**report.reason_counts, _REFUSED: report.reason_counts.get(_REFUSED, 0) + count}
+    details = {**report.reason_details, _REFUSED: words}
+    return replace(report, reason_counts=MappingProxyType(counts), reason_details=MappingProxyType(details))
 
 
 class News:

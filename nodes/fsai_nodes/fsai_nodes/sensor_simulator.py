@@ -17,6 +17,7 @@ from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import TrackError, load_track
 from fsai_nodes.clocks import Clocks
 from fsai_nodes.conversions import cones_to_msg
+from fsai_nodes.door import Door
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings
 from fsai_nodes.process import run
 from fsai_nodes.qos import publisher
@@ -69,6 +70,8 @@ class SensorSimulator(Node):
         self._sensor: ConeSensor | None = None
         self._seeing: tuple[str, int] | None = None  # track and seed that the sensor was made for
         self._publisher = publisher(self, ConeArray, "raw_cones")
+        Door(self)  # it takes nothing but parameters
+        self._clocks.watch()
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._look)
         self.get_logger().info(f"listening for the true pose on UDP port {port}")
 

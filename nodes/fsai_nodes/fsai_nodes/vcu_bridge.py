@@ -2,8 +2,9 @@
 
 A managed (lifecycle) node that configures and activates itself unless set otherwise. It is the edge of the CAN loop,
 which runs in a process without ROS: commands are handed to it without waiting, services ask it and wait for its answer
-for a limited time, a timer publishes what it last reported. Nothing here decides anything about the car, and nothing
-that happens here, in ROS or in its middleware stops the loop.
+for a limited time, a timer publishes what it last reported. Nothing here decides anything about the car. What comes
+from ROS enters by `fsai_nodes.door`, checked and bounded; where this process stands still or ends, the loop goes on
+without it, and to the loop its commands become stale.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from fsai_msgs.action import RunMission
 from fsai_msgs.msg import ResetConfirmation, RunState, VehicleCommand, VehicleState
 from fsai_msgs.srv import SetMode
 from nav_msgs.msg import Odometry
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
@@ -31,6 +32,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
 from fsai_nodes.clocks import Clocks, Input
+from fsai_nodes.command_owner import CommandOwner
 from fsai_nodes.conversions import (
     BASE_FRAME,
     ODOM_FRAME,
@@ -43,11 +45,13 @@ from fsai_nodes.conversions import (
     state_to_msg,
 )
 from fsai_nodes.diagnosis import diagnostics_of
-from fsai_nodes.mission_goal import GoalError, GoalResult, Waiting
+from fsai_nodes.door import Door, Message
+from fsai_nodes.mission_goal import GoalResult, Waiting
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import TOPICS, publisher
-from fsai_nodes.report_log import Culprit, News
+from fsai_nodes.qos import publisher
+from fsai_nodes.report_log import Culprit, News, with_refused
+from fsai_vcu.core.driving import Run
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
@@ -150,10 +154,13 @@ class VcuBridge(LifecycleNode):
         self._loop: LoopHandle | None = None  # the same while the node is active
         self._loop_silent = False  # it should report and does not
         self._news, self._culprit = News(), Culprit()
-        self._last_run: tuple[object, str] | None = None
+        self._last_run: Run | None = None  # as published
+        self._last_said: tuple[Run, str] | None = None
         self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
-        self._commands = Input(self, "vehicle_cmd")
+        self._commands = Input(self, "vehicle_cmd", clocks=self._clocks)
+        self._owner = CommandOwner(_CONFIG.command_lost_ns)
+        self._refused_commands, self._refused_command = 0, ""  # at the door: how many, and the last one in words
         self._note = ""  # why the controller does not drive, as its last command says
         self._timers: list[Timer] = []
         self._goals: dict[bytes, _Following] = {}  # by goal id
@@ -165,23 +172,25 @@ class VcuBridge(LifecycleNode):
         self._imu = publisher(self, Imu, "imu")
         self._fix = publisher(self, NavSatFix, "gps/fix")
         self._diagnostics = publisher(self, DiagnosticArray, "diagnostics")
-        self.create_subscription(VehicleCommand, "vehicle_cmd", self._on_command, TOPICS["vehicle_cmd"])
-        self.create_subscription(
-            ResetConfirmation, "reset_confirmation", self._on_confirmation, TOPICS["reset_confirmation"]
+        door = self._door = Door(self)
+        door.subscription(
+            VehicleCommand, "vehicle_cmd", self._on_command, refused=self._on_refused_command, with_sender=True
         )
-        self.create_service(SetMode, "set_mode", self._on_set_mode)
-        self.create_service(Trigger, "emergency_brake", self._on_emergency_brake)
-        self.create_service(Trigger, "reset", self._on_reset)
+        door.subscription(ResetConfirmation, "reset_confirmation", self._on_confirmation, with_sender=True)
+        door.service(SetMode, "set_mode", self._on_set_mode)
+        door.service(Trigger, "emergency_brake", self._on_emergency_brake)
+        door.service(Trigger, "reset", self._on_reset)
         # A goal is followed by the publishing timer; its result is handed over when that timer has an outcome.
-        self._missions = ActionServer(
-            self,
+        self._missions = door.action(
             RunMission,
             "run_mission",
-            execute_callback=self._result_of,
-            goal_callback=self._on_goal,
-            handle_accepted_callback=self._follow,
-            cancel_callback=self._on_cancel,
+            goal=self._on_goal,
+            accepted=self._follow,
+            cancel=self._on_cancel,
+            execute=self._result_of,
+            under_way=lambda: len(self._goals),
         )
+        self._clocks.watch()
         if self._settings.flag("autostart"):
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS:
@@ -219,8 +228,11 @@ class VcuBridge(LifecycleNode):
         self._loop = loop
         self._loop_silent = False
         # Stale commands are so by the age of their data: when the loop reports it, less time has passed here.
-        self._commands = Input(self, "vehicle_cmd", silent_ns=configured.config.command_stale_ns // 2)
-        self._news, self._culprit, self._last_run = News(), Culprit(), None
+        silent_ns = configured.config.command_stale_ns // 2
+        self._commands = Input(self, "vehicle_cmd", silent_ns=silent_ns, clocks=self._clocks)
+        self._owner = CommandOwner(configured.config.command_lost_ns)
+        self._news, self._culprit = News(), Culprit()
+        self._last_run = self._last_said = None
         self._timers = [
             self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
             self._clocks.every(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
@@ -328,11 +340,13 @@ class VcuBridge(LifecycleNode):
 
     # ------------------------------------------------------------ from ROS to the car
 
-    def _on_command(self, message: VehicleCommand) -> None:
+    def _on_command(self, message: VehicleCommand, came: Message) -> None:
         loop = self._loop
         if loop is None:
             return
         now_ns = self._clocks.now_ns()
+        if not self._is_the_runs(message, came, now_ns):
+            return
         # A stamp of the future is handed on as it is: the loop refuses the command, and counts it.
         sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         self._sensor_ns = sensor_ns
@@ -340,14 +354,39 @@ class VcuBridge(LifecycleNode):
         self._note = message.note
         loop.submit_command(command_from_msg(message, sensor_ns))
 
+    def _is_the_runs(self, message: VehicleCommand, came: Message, now_ns: int) -> bool:
+        """Whether the command is of the one publisher whose commands the run takes."""
+        run = self._last_run
+        if run is None or message.run_id != run.run_id:
+            return True  # it counts as none, and the loop says so
+        if came.gid is None:
+            return True  # this middleware does not tell whose it is; check-stack names all that command the car
+        if self._owner.takes(message.run_id, came.gid, now_ns, came.senders.present):
+            return True
+        owner = came.senders.name(self._owner.gid) or "another publisher"
+        why = f"run {message.run_id} belongs to {owner}, which confirmed its reset or spoke first"
+        self._door.refuse(came.topic, came.sender, why)
+        return False
+
+    def _on_refused_command(self, words: str) -> None:
+        self._commands.refused(words)
+        self._refused_commands += 1
+        self._refused_command = words
+
     def _whose_silence(self) -> str:
         """Which input is missing, in words, where the vehicle command is stale."""
-        silence = self._commands.silence(self._clocks.now_ns())
-        return silence or self._note or self._commands.old_data() or "commands come, but late or refused"
+        now_ns = self._clocks.now_ns()
+        silence = self._commands.silence(now_ns) or self._note
+        return silence or self._commands.old_data() or "commands come, but late or refused"
 
-    def _on_confirmation(self, message: ResetConfirmation) -> None:
-        if self._loop is not None:
-            self._loop.confirm_reset(message.role, message.run_id)
+    def _on_confirmation(self, message: ResetConfirmation, came: Message) -> None:
+        if self._loop is None:
+            return
+        if message.role == ResetConfirmation.CONTROLLER and came.gid is not None:
+            run = self._last_run
+            if run is not None and message.run_id == run.run_id:
+                self._owner.confirmed(message.run_id, came.gid)
+        self._loop.confirm_reset(message.role, message.run_id)
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
         """`manual` or `autonomous` (`fsai-vcu mode`); refused with the reason. It says so if it was that already."""
@@ -400,21 +439,23 @@ class VcuBridge(LifecycleNode):
         if loop.silent is not self._loop_silent:
             self._loop_silent = loop.silent
             if self._loop_silent:
-                logger.error("the CAN loop reports nothing: it hangs, and nothing is known of the car")
+                silent_ms = (now_ns - loop.loop_report().bridge.t_ns) / 1e6
+                logger.error(f"the CAN loop has reported nothing for {silent_ms:.0f} ms: nothing is known of the car")
             else:
                 logger.warning("the CAN loop reports again")
         self._publish_state(report, now_ns)
         self._publish_motion(report)
         newest = loop.loop_report().bridge
-        # A car that is silent has stopped itself, and one whose loop hangs; a loop that was held up says nothing of it.
+        # A car that is silent has stopped itself, and so has one whose loop has said nothing for long; a loop that was
+        # held up says nothing of it.
         gone = newest.vcu_lost or (self._loop_silent and now_ns - newest.t_ns >= _CONFIG.stop_timeout_ns)
         self._step_goals(report, now_ns, gone=gone)
 
     def _publish_state(self, report: BridgeReport, now_ns: int) -> None:
         # The run goes out before the first state that belongs to it, so that nobody drives a new run with old memory.
         run = (report.run, report.mode)
-        if run != self._last_run:
-            self._last_run = run
+        if run != self._last_said:
+            self._last_said, self._last_run = run, report.run
             self._run_state.publish(run_to_msg(report.run, report.mode, self._clocks.stamp_of(report.t_ns)))
         command_age_s = math.nan if self._sensor_ns is None else (now_ns - self._sensor_ns) / 1e9
         stamp = self._clocks.stamp_of(report.motion.t_ns)
@@ -452,19 +493,15 @@ class VcuBridge(LifecycleNode):
         for index, sentence in enumerate(newest.scheduling_refused, 1):
             more[f"not real-time {index}"] = sentence
         stamp = self._clocks.stamp_of(self._clocks.now_ns())
-        self._diagnostics.publish(diagnostics_of(self._report(loop), stamp, more))
+        report = with_refused(self._report(loop), self._refused_commands, self._refused_command)
+        self._diagnostics.publish(diagnostics_of(report, stamp, more))
 
     # ------------------------------------------------------------ /run_mission
 
-    def _on_goal(self, request: RunMission.Goal) -> GoalResponse:
+    def _on_goal(self, _request: RunMission.Goal) -> GoalResponse:
         """Follows a run: wait until ready, driving, finished, emergency, off or end; cancelling it is `manual` for the
         car, and its result comes when the car no longer drives.
         """
-        try:
-            Waiting(request.mission, request.until, request.timeout_s, 0)
-        except GoalError as error:
-            self.get_logger().error(f"run_mission refused: {error}")
-            return GoalResponse.REJECT
         if self._loop is None:
             self.get_logger().error(f"run_mission refused: {_INACTIVE}")
             return GoalResponse.REJECT

@@ -12,9 +12,10 @@ from rclpy.node import Node
 
 from fsai_nodes.clocks import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.conversions import BASE_FRAME, command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
+from fsai_nodes.door import Door
 from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.qos import publisher
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import NO_SPEED_LIMIT_MPS, ControllerSettings
 from fsai_vcu.core.driving import Motion, Plan, Run
@@ -46,16 +47,18 @@ class VehicleController(Node):
         self._status: PlannerStatus | None = None
         self._pending: Path | None = None  # a path whose status has not come yet
         self._plan: Plan | None = None
-        self._states = Input(self, "vehicle_state")
-        self._paths = Input(self, "path")
+        self._states = Input(self, "vehicle_state", clocks=self._clocks)
+        self._paths = Input(self, "path", clocks=self._clocks)
         self._planner_waits: tuple[str, int] = "", 0  # for what, and when it reported so
         self._trouble = (False, False)  # an input is late, there is no path: the log says so
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
-        self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
-        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
-        self.create_subscription(PlannerStatus, "planner_status", self._on_status, TOPICS["planner_status"])
-        self.create_subscription(Path, "path", self._on_path, TOPICS["path"])
+        door = Door(self)
+        door.subscription(RunState, "run_state", self._on_run)
+        door.subscription(VehicleState, "vehicle_state", self._on_state, refused=self._states.refused)
+        door.subscription(PlannerStatus, "planner_status", self._on_status, refused=self._paths.refused)
+        door.subscription(Path, "path", self._on_path, refused=self._paths.refused)
+        self._clocks.watch()
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._tick)
 
     def _controller_settings(self) -> ControllerSettings:

@@ -23,9 +23,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from fsai_nodes.clocks import Clocks
 from fsai_nodes.conversions import BASE_FRAME, ODOM_FRAME, cones_from_msg
+from fsai_nodes.door import Door
 from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.process import run
-from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.qos import publisher
 from fsai_nodes.scene import Scene
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import lengths_along
@@ -57,11 +58,13 @@ class Visualization(Node):
         self._markers = publisher(self, MarkerArray, "markers")
         self._frames = publisher(self, TFMessage, "/tf_static")
         self._model = publisher(self, String, "robot_description")
-        self.create_subscription(VehicleState, "vehicle_state", scene.on_state, TOPICS["vehicle_state"])
-        self.create_subscription(ConeArray, "raw_cones", scene.on_raw_cones, TOPICS["raw_cones"])
-        self.create_subscription(ConeArray, "detected_cones", scene.on_cones, TOPICS["detected_cones"])
-        self.create_subscription(PlannerStatus, "planner_status", scene.on_status, TOPICS["planner_status"])
-        self.create_subscription(Path, "path", scene.on_path, TOPICS["path"])
+        door = Door(self)
+        door.subscription(VehicleState, "vehicle_state", scene.on_state)
+        door.subscription(ConeArray, "raw_cones", scene.on_raw_cones)
+        door.subscription(ConeArray, "detected_cones", scene.on_cones)
+        door.subscription(PlannerStatus, "planner_status", scene.on_status)
+        door.subscription(Path, "path", scene.on_path)
+        self._clocks.watch()
         model = files("fsai_nodes").joinpath("fsai.urdf").read_text(encoding="utf-8")
         self._model.publish(String(data=model))
         stamp = self._clocks.stamp_of(self._clocks.now_ns())

@@ -1,0 +1,134 @@
+"""What depends on rclpy's version, and what rclpy does not tell: all of it is here.
+
+Written for rclpy 7 (Jazzy). rclpy gives a callback no word of who sent a message; the middleware knows it (the GID of
+the publisher), and `Taker` asks for it where the C libraries are laid out as expected. Where they are not, nothing is
+lost but the name.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
+
+_GID_BYTES = 16  # what all versions have of it
+_ROOM = 1024  # bytes to begin with; it grows
+
+
+# ---------------------------------------------------------------- publishers and parameters
+
+
+def without_events() -> dict[str, Any]:
+    """Arguments of create_publisher that leave out rclpy's event handlers.
+
+    Each is one more thing to wait for, every time that a node waits. The subscriptions keep theirs, so a mismatch is
+    still reported, on the side where something is missing.
+    """
+    from rclpy.event_handler import PublisherEventCallbacks
+
+    return {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
+
+
+def on_parameters(
+    node: Node,
+    known: Callable[[list[Parameter]], list[Parameter]],
+    accept: Callable[[Iterable[Parameter]], SetParametersResult],
+    changed: Callable[[Iterable[Parameter]], None],
+) -> None:
+    """Have `known` called before parameters are looked at, `accept` before and `changed` after they are set."""
+    node.add_pre_set_parameters_callback(known)
+    node.add_on_set_parameters_callback(accept)
+    node.add_post_set_parameters_callback(changed)
+
+
+# ---------------------------------------------------------------- messages with their sender
+
+
+class _Allocator(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("take", "free", "again", "zeroed", "state"))
+
+
+class _Bytes(ctypes.Structure):  # rcutils_uint8_array_t, which is rcl_serialized_message_t
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+class Taker:
+    """Takes one subscription's messages as bytes, each with the GID of its publisher."""
+
+    def __init__(self) -> None:
+        """Raises OSError or AttributeError where the C libraries are not as expected."""
+        self._rcl = ctypes.CDLL("librcl.so")
+        rcutils = ctypes.CDLL("librcutils.so")
+        rmw = ctypes.CDLL(f"lib{rclpy.get_rmw_implementation_identifier()}.so")
+        rmw.rmw_get_implementation_identifier.restype = ctypes.c_void_p
+        # It stands before the GID in the middleware's description of a message.
+        self._mark: int = rmw.rmw_get_implementation_identifier()
+        self._rcl.rcl_take_serialized_message.argtypes = [
+            ctypes.c_void_p,
+            ctypes.POINTER(_Bytes),
+            ctypes.c_void_p,
+            ctypes.c_void_p,
+        ]
+        rcutils.rcutils_get_default_allocator.restype = _Allocator
+        rcutils.rcutils_get_zero_initialized_uint8_array.restype = _Bytes
+        rcutils.rcutils_uint8_array_init.argtypes = [
+            ctypes.POINTER(_Bytes),
+            ctypes.c_size_t,
+            ctypes.POINTER(_Allocator),
+        ]
+        self._free = rcutils.rcutils_uint8_array_fini
+        self._free.argtypes = [ctypes.POINTER(_Bytes)]
+        self._init = rcutils.rcutils_uint8_array_init
+        self._allocator = rcutils.rcutils_get_default_allocator()
+        self._zeroed = rcutils.rcutils_get_zero_initialized_uint8_array
+        self._info = (ctypes.c_uint64 * 32)()  # twice what any version fills
+
+    def take(self, subscription: Subscription) -> tuple[bytes, bytes | None] | None:
+        """The next message and the GID of who sent it, if known; None where none is left."""
+        taken = self._zeroed()
+        self._init(taken, _ROOM, self._allocator)
+        try:
+            ctypes.memset(self._info, 0, ctypes.sizeof(self._info))
+            with subscription.handle:
+                status = self._rcl.rcl_take_serialized_message(subscription.handle.pointer, taken, self._info, None)
+            if status:
+                return None
+            return ctypes.string_at(taken.buffer, taken.length), self._gid()
+        finally:
+            self._free(taken)
+
+    def _gid(self) -> bytes | None:
+        words = list(self._info)
+        if self._mark not in words[:-3]:
+            return None
+        start = 8 * (words.index(self._mark) + 1)
+        return bytes(self._info)[start : start + _GID_BYTES]
+
+
+def taker() -> Taker | None:
+    """None where senders cannot be known."""
+    try:
+        return Taker()
+    except (OSError, AttributeError):
+        return None
+
+
+def gid_of(endpoint: Any) -> bytes:
+    """As `Taker` tells it, of an entry of get_publishers_info_by_topic."""
+    return bytes(endpoint.endpoint_gid[:_GID_BYTES])
+
+
+def process_of(gid: bytes) -> bytes:
+    """The part of a GID that all publishers of one ROS context share."""
+    return gid[:12]
