@@ -12,7 +12,6 @@ from typing import Final
 
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.specification import COMMS_LOST_NS, EMERGENCY_TIMER_NS, READY_WAIT_NS
-from fsai_vcu.interface.units import MS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,12 +22,15 @@ class Profile(Immutable):
 
     # the link to the AI computer (interface specification v4.0: handshake and loss of communication)
     handshake_waits_for_echo: bool = True  # else it alternates with every 0x520, whatever comes back
-    echo_timeout_ns: int = COMMS_LOST_NS
+    echo_timeout_ns: int | None = COMMS_LOST_NS  # None: any echo is taken for the right one
 
     # the autonomous-system state machine
     ready_wait_ns: int = READY_WAIT_NS
     emergency_timer_ns: int = EMERGENCY_TIMER_NS
     start_needs_selected: bool = False  # AS_DRIVING begins only while MISSION_STATUS is SELECTED
+    # The five messages arrive one after another, 0x511 and 0x512 before 0x514: a change from brake to torque in one call
+    # shows both for a moment. The specification does not say whether a VCU judges that by the frame or by its own cycle.
+    pedals_judged_by_frame: bool = True
     brake_request_is_emergency: bool = False
     estop_request_in_as_off: bool = False
     neutral_fault_needs_all_wheels: bool = False
@@ -51,7 +53,7 @@ SPECIFICATION: Final = Profile(name="specification")
 OFFICIAL_SIMULATOR: Final = Profile(
     name="official-simulator",
     handshake_waits_for_echo=False,
-    echo_timeout_ns=500 * MS,
+    echo_timeout_ns=None,  # its published source overrides the check: an inverted echo passes there, and not on the car
     start_needs_selected=True,
     brake_request_is_emergency=True,
     estop_request_in_as_off=True,
