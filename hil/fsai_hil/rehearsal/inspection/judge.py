@@ -112,6 +112,7 @@ class Silence:
         self.torque_ns: int | None = t_ns if torque else None  # the last torque asked for
         self.estop_ns: int | None = None
         self.brake_ns: int | None = None
+        self.limited = False  # torque was gone only once the car's own limit was
 
 
 class InspectionJudge:
@@ -133,6 +134,7 @@ class InspectionJudge:
         self._ami_ns = start_ns
         self._ami_taken_back = False
         self._max_nm: dict[type, float] = {}
+        self._had_motor: dict[type, bool] = {}
         self._angle_max_deg: float | None = None
         self._rpm = 0
         self._standing_ns: int | None = None
@@ -156,7 +158,7 @@ class InspectionJudge:
         self._running_ns: int | None = None
         self._silence: Silence | None = None
         self.status = AiStatus()
-        self.ended: tuple[int, float] | None = None  # status, and how long it took in s
+        self.ended_ns: int | None = None
 
     # ------------------------------------------------------------ what it is told
 
@@ -168,7 +170,7 @@ class InspectionJudge:
 
     def wrong(self, slug: str, words: str, *, grave: bool = True) -> None:
         """Something that the item does not allow."""
-        key = f"{self.scene}:{_NUMBERS.sub('', words)}"
+        key = _NUMBERS.sub("", words)
         found = self._wrong.setdefault(slug, {})
         if key not in found:
             found[key] = Sighting(words, grave, self.scene, self._now_ns - self._start_ns)
@@ -225,12 +227,12 @@ class InspectionJudge:
             self.wrong(slug, reason)
         if verdict.passed:
             self.show(slug, f"driven in {verdict.driving_time_s:.1f} s, ended in {verdict.as_states[-1][0]}")
-        elif slug == "demo" and self._swept == "right":
+        if slug == "demo" and self._swept == "right":
             self.wrong(slug, "it steers to the right first: is the sign of STEER_REQUEST swapped? Positive turns left")
 
     def program_ended(self, status: int, took_s: float | None) -> None:
         """The program has ended; `took_s`: since it was asked to, None: by itself."""
-        self.ended = (status, took_s or 0.0)
+        self.ended_ns = self._now_ns
         self.show("end")
         if took_s is None:
             self.wrong("end", f"the program ended by itself with status {status}")
@@ -238,6 +240,7 @@ class InspectionJudge:
             self.show("end", f"it ended {took_s:.1f} s after SIGTERM, with status {status}")
 
     def program_would_not_end(self) -> None:
+        self.ended_ns = self._now_ns
         self.show("end")
         self.wrong("end", f"the program still ran {END_S:g} s after SIGTERM, and was killed")
 
@@ -253,9 +256,9 @@ class InspectionJudge:
             case VcuStatus():
                 self._on_status(image, frame.t_ns)
             case VcuDriveFront():
-                self._max_nm[AiDriveFront] = image.torque_max_nm
+                self._on_limit(AiDriveFront, image.torque_max_nm)
             case VcuDriveRear():
-                self._max_nm[AiDriveRear] = image.torque_max_nm
+                self._on_limit(AiDriveRear, image.torque_max_nm)
             case VcuSteer():
                 self._angle_max_deg = image.angle_max_deg
             case WheelSpeeds():
@@ -276,6 +279,11 @@ class InspectionJudge:
         if status.ami is not self._ami:
             self._ami_taken_back = status.ami is Ami.NOT_SELECTED and self.state is AsState.AS_OFF
             self._ami, self._ami_ns = status.ami, t_ns
+
+    def _on_limit(self, axle: type, most_nm: float) -> None:
+        self._max_nm[axle] = most_nm
+        if most_nm > 0.0:
+            self._had_motor[axle] = True
 
     def _forget_drive(self) -> None:
         self._asked_torque = self.steers = False
@@ -298,7 +306,7 @@ class InspectionJudge:
         if frame.extended or frame.remote or frame.can_id not in AI_IDS:
             self._foreign(frame)
             return
-        if self.ended is not None:
+        if self.ended_ns is not None and t_ns - self.ended_ns >= REACTS_NS:
             self.wrong("end", f"0x{frame.can_id:03X} was sent after the program had ended")
         self._time(frame.can_id, t_ns)
         decoded = self._codec.decode(frame)
@@ -353,6 +361,7 @@ class InspectionJudge:
             if state is AsState.AS_FINISHED and in_state_ns >= SAYS_NS and said is not MissionStatus.FINISHED:
                 self.wrong("rest", f"MISSION_STATUS {said.label} in AS_FINISHED", grave=False)
             return
+        self._look_at_axles()
         if said is MissionStatus.RUNNING and self._running_ns is None:
             self._running_ns = in_state_ns
             self.show("running", f"RUNNING {in_state_ns / MS:.0f} ms after AS_DRIVING began")
@@ -406,10 +415,13 @@ class InspectionJudge:
         self._torque_nm[kind] = nm
         self._meet(t_ns)
         if nm <= 0.0:
+            if self._silence is not None and self._max_nm.get(kind) == 0.0 and self._had_motor.get(kind):
+                self._silence.limited = True
             return
         name = f"0x{can_id:03X} asks for {nm:.1f} Nm"
         if self._silence is not None:
             self._silence.torque_ns = t_ns
+            self._silence.limited = False
             if self._silence.can_id == STATUS_ID:
                 return
         in_state_ns = t_ns - self._state_ns
@@ -426,19 +438,18 @@ class InspectionJudge:
             if in_state_ns < LAUNCH_NS - CYCLE_SLACK_NS:
                 self.wrong("launch", f"{name} {in_state_ns / S:.2f} s after AS_DRIVING began")
             most_nm = self._max_nm.get(kind)
-            if most_nm == 0.0:
-                self._wrong_axle(name, kind)
-            elif most_nm is not None and nm > most_nm + TINY:
+            if most_nm and nm > most_nm + TINY:
                 self.wrong("limits", f"{name}, and the car takes at most {most_nm:.1f} Nm")
 
-    def _wrong_axle(self, name: str, kind: type) -> None:
-        other = AiDriveRear if kind is AiDriveFront else AiDriveFront
-        if not self._max_nm.get(other):
-            return  # no axle has any: the tractive system is off
-        if self._torque_nm[other] > 0.0:
-            self.wrong("axle", f"{name} of an axle without a motor: half of the torque is lost on this car")
-        else:
-            self.wrong("axle", f"{name} of an axle without a motor, and nothing of the driven one")
+    def _look_at_axles(self) -> None:
+        """Both as the last cycle has them. An AXLE_TRQ_MAX of 0 where the other axle has some: no motor there."""
+        for kind, other, can_id in ((AiDriveFront, AiDriveRear, 0x511), (AiDriveRear, AiDriveFront, 0x512)):
+            asked_nm, others_nm = self._torque_nm[kind], self._torque_nm[other]
+            if asked_nm <= 0.0 or self._max_nm.get(kind) != 0.0 or not self._max_nm.get(other):
+                continue
+            lost = "nothing of the driven one" if others_nm <= 0.0 else f"{others_nm:.1f} Nm of the driven one"
+            share = f": {asked_nm / (asked_nm + others_nm):.0%} of the torque is lost on this car"
+            self.wrong("axle", f"0x{can_id:03X} asks for {asked_nm:.1f} Nm of an axle without a motor, and {lost}{share}")
 
     def _on_steer(self, steer: AiSteer) -> None:
         deg, state = steer.steer_deg, self.state
@@ -505,6 +516,9 @@ class InspectionJudge:
         self.show(slug, ", ".join(reactions) or "no torque, no brake, no ESTOP_REQUEST")
         if within_ms is not None and torque_ms is not None and torque_ms > within_ms:
             self.wrong(slug, f"torque is still asked for {torque_ms:.0f} ms after the last 0x{silence.can_id:03X}")
+        elif within_ms is not None and silence.torque and silence.limited and not (silence.estop_ns or silence.brake_ns):
+            words = f"no reaction: torque went only when AXLE_TRQ_MAX fell to 0, {torque_ms:.0f} ms after the last"
+            self.wrong(slug, f"{words} 0x{silence.can_id:03X}")
 
     # ------------------------------------------------------------ what it found
 

@@ -217,7 +217,7 @@ class Rehearsal(World):
 
     @property
     def program_is_gone(self) -> bool:
-        return self.inspector.ended is not None
+        return self.inspector.ended_ns is not None
 
     def why_not_ready(self) -> str:
         if self.vcu.comms_lost:

@@ -291,7 +291,7 @@ def _asking(stage: Stage, then: Callable[[], Script]) -> Script:
 
 
 def _silent(can_id: int) -> Callable[[Stage], Script]:
-    """Static inspection B asks for torque at once; steering is lost while inspection A sweeps it."""
+    """The autonomous demo asks for torque for two seconds; steering is lost while inspection A sweeps it."""
     steering = can_id == 0x523
 
     def script(stage: Stage) -> Script:
@@ -313,7 +313,7 @@ def _silent(can_id: int) -> Callable[[Stage], Script]:
                 lambda: stage.stuck("the program did not steer"),
             )
 
-        mission = Ami.STATIC_INSPECTION_A if steering else Ami.STATIC_INSPECTION_B
+        mission = Ami.STATIC_INSPECTION_A if steering else Ami.AUTONOMOUS_DEMO
         return *_alive(stage, lambda: _drive(stage, mission, begun)), *_off()
 
     return script
