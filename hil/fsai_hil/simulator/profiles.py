@@ -28,8 +28,8 @@ class Profile(Immutable):
     ready_wait_ns: int = READY_WAIT_NS
     emergency_timer_ns: int = EMERGENCY_TIMER_NS
     start_needs_selected: bool = False  # AS_DRIVING begins only while MISSION_STATUS is SELECTED
-    # The five messages arrive one after another, 0x511 and 0x512 before 0x514: a change from brake to torque in one call
-    # shows both for a moment. The specification does not say whether a VCU judges that by the frame or by its own cycle.
+    # The messages arrive one after another, 0x511 and 0x512 before 0x514: a change from brake to torque in one call
+    # shows both for a moment. The specification does not say whether that is judged by the frame or by a VCU's cycle.
     pedals_judged_by_frame: bool = True
     brake_request_is_emergency: bool = False
     estop_request_in_as_off: bool = False

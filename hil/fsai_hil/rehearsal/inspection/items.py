@@ -98,7 +98,7 @@ ITEMS: Final = (
     Item(
         "before-go",
         "zeros before Go",
-        "in AS_OFF and AS_READY: axle torques 0, steering 0, NEUTRAL, MISSION_STATUS at most SELECTED, no ESTOP_REQUEST",
+        "in AS_OFF and AS_READY: axle torques 0, steering 0, NEUTRAL, at most SELECTED, ESTOP_REQUEST 0",
         SPECIFICATION,
         "static-a",
     ),
@@ -183,6 +183,12 @@ ITEMS: Final = (
         "estop",
     ),
     *(_silence(can_id, *what) for can_id, what in SILENCES.items()),
-    Item("end", "clean end", "asked to end (SIGTERM) the program ends within 5 s, and nothing is sent after it", ADVICE, "end"),
+    Item(
+        "end",
+        "clean end",
+        "asked to end (SIGTERM) the program ends within 5 s, and nothing is sent after it",
+        ADVICE,
+        "end",
+    ),
 )
 BY_SLUG: Final = {item.slug: item for item in ITEMS}

@@ -204,7 +204,9 @@ class InspectionJudge:
         if not len(times):
             self.wrong(slug, "the VCU saw no echo at all")
             return
-        words = f"{len(times)} echoes, p50 {found['p50_ms']:.1f} ms, p99 {found['p99_ms']:.1f}, max {found['max_ms']:.1f}"
+        words = (
+            f"{len(times)} echoes, p50 {found['p50_ms']:.1f} ms, p99 {found['p99_ms']:.1f}, max {found['max_ms']:.1f}"
+        )
         self.show(slug, words)
         if found["max_ms"] * MS >= COMMS_LOST_NS:
             self.wrong(slug, f"an echo took {found['max_ms']:.0f} ms")
@@ -449,7 +451,9 @@ class InspectionJudge:
                 continue
             lost = "nothing of the driven one" if others_nm <= 0.0 else f"{others_nm:.1f} Nm of the driven one"
             share = f": {asked_nm / (asked_nm + others_nm):.0%} of the torque is lost on this car"
-            self.wrong("axle", f"0x{can_id:03X} asks for {asked_nm:.1f} Nm of an axle without a motor, and {lost}{share}")
+            self.wrong(
+                "axle", f"0x{can_id:03X} asks for {asked_nm:.1f} Nm of an axle without a motor, and {lost}{share}"
+            )
 
     def _on_steer(self, steer: AiSteer) -> None:
         deg, state = steer.steer_deg, self.state
@@ -514,11 +518,13 @@ class InspectionJudge:
         if torque_ms is not None:
             reactions.insert(0, f"torque for {torque_ms:.0f} ms more")
         self.show(slug, ", ".join(reactions) or "no torque, no brake, no ESTOP_REQUEST")
-        if within_ms is not None and torque_ms is not None and torque_ms > within_ms:
-            self.wrong(slug, f"torque is still asked for {torque_ms:.0f} ms after the last 0x{silence.can_id:03X}")
-        elif within_ms is not None and silence.torque and silence.limited and not (silence.estop_ns or silence.brake_ns):
-            words = f"no reaction: torque went only when AXLE_TRQ_MAX fell to 0, {torque_ms:.0f} ms after the last"
-            self.wrong(slug, f"{words} 0x{silence.can_id:03X}")
+        if within_ms is None or torque_ms is None:
+            return
+        after = f"{torque_ms:.0f} ms after the last 0x{silence.can_id:03X}"
+        if torque_ms > within_ms:
+            self.wrong(slug, f"torque is still asked for {after}")
+        elif silence.torque and silence.limited and silence.estop_ns is None and silence.brake_ns is None:
+            self.wrong(slug, f"no reaction: torque went only when AXLE_TRQ_MAX fell to 0, {after}")
 
     # ------------------------------------------------------------ what it found
 
@@ -579,7 +585,9 @@ class InspectionJudge:
         (usual, often), all_of_them = self._orders.most_common(1)[0], sum(self._orders.values())
         words = " ".join(f"{can_id:03X}" for can_id in usual)
         if often < IN_ORDER * all_of_them:
-            self.wrong("order", f"{len(self._orders)} different orders; {words} in {often} of {all_of_them}", grave=False)
+            self.wrong(
+                "order", f"{len(self._orders)} different orders; {words} in {often} of {all_of_them}", grave=False
+            )
         elif set(usual) == set(AI_IDS) and usual != AI_IDS:
             self.wrong("order", f"{words}, where the car's library sends 510 first and 514 last", grave=False)
         elif usual != AI_IDS:

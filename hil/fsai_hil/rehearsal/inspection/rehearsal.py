@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from fsai_hil.rehearsal.inspection.items import ITEMS, Item
-from fsai_hil.rehearsal.inspection.judge import InspectionJudge, Result, Verdict
+from fsai_hil.rehearsal.inspection.judge import InspectionJudge, Result
 from fsai_hil.rehearsal.inspection.scenes import END_S, PATTERN, SCENES, Scene
 from fsai_hil.simulator.faults import Changed, Drop
 from fsai_hil.simulator.operator import Operator
@@ -24,6 +24,7 @@ from fsai_vcu.interface.reserved import STATUS_ID
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import S
 
+NEVER_NS: Final = 1 << 62
 STUCK_TWICE: Final = 2  # scenes that did not get to the same: no other will
 
 
@@ -39,6 +40,7 @@ class Rehearsal(World):
         *,
         revision: str = "2026",
         profile: str = SPECIFICATION.name,
+        pedals_by_frame: bool = True,
         start_ns: int = 0,
         gps: bool = True,
     ) -> None:
@@ -52,6 +54,7 @@ class Rehearsal(World):
                 start_ns=start_ns,
             )
         )
+        self.vcu.behave(replace(self.vcu.profile, pedals_judged_by_frame=pedals_by_frame))
         self.items = tuple(items)
         self.power_up = POWER_UP[revision]
         self.inspector = InspectionJudge(self.codec, self.vcu.profile, start_ns)
@@ -91,6 +94,11 @@ class Rehearsal(World):
         self.inspector.program_ended(status, None if asked_ns is None else (self.now_ns - asked_ns) / S)
         if asked_ns is None:
             self._give_up("the program ended by itself")
+
+    def nobody_to_end(self) -> None:
+        """The program was started by somebody else, and is left to him."""
+        self.inspector.ended_ns = NEVER_NS
+        self.inspector.why_not["end"] = "the program was started by somebody else"
 
     def program_was_killed(self) -> None:
         self.inspector.program_would_not_end()
@@ -246,9 +254,3 @@ class Rehearsal(World):
     @property
     def steers_before_go(self) -> bool:
         return self.inspector.steer_deg != 0.0
-
-
-def verdict_of(results: Sequence[Result]) -> Verdict:
-    """Of all items together: FAIL before NOT_SEEN before NOTE."""
-    found = {result.verdict for result in results}
-    return next(one for one in (Verdict.FAIL, Verdict.NOT_SEEN, Verdict.NOTE, Verdict.PASS) if one in found or not found)

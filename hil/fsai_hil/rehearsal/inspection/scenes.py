@@ -344,5 +344,3 @@ SCENES: Final[Mapping[str, Scene]] = {
     },
     "end": Scene("the program is asked to end", _end),
 }
-
-
