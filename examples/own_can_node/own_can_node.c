@@ -9,8 +9,7 @@
  * `--fault NAME` puts one of the mistakes in that teams have made (`--faults` lists them): for
  * `fsai-vcu rehearse`, which names each of them. Never on a car.
  *
- * With `-` for the bus, time comes in on standard input: frames as they are received, then a frame with the id TICK
- * that carries the time in ns; out go the frames of that cycle, then the TICK. So a test needs no bus and no clock.
+ * As a shared library it is for tests that bring their own bus and clock: `begin`, then `run_cycle` every 10 ms.
  */
 #include <linux/can.h>
 #include <linux/can/raw.h>
@@ -35,7 +34,7 @@
 #define RPM_PER_KMH 10.6     /* of a wheel with a radius of 0.25 m */
 #define HOLD_PCT 20.0
 #define STOP_PCT 40.0
-#define TICK 0xFFFFFFFFu
+#define MOST 64 /* frames of the car that are read at once */
 
 enum { AS_INIT, AS_OFF, AS_READY, AS_DRIVING, EMERGENCY_BRAKE, AS_FINISHED };
 enum { NOT_SELECTED, SELECTED, RUNNING, FINISHED };
@@ -63,7 +62,7 @@ static int fault = NONE;
 struct car {
   bool handshake, handshake_before; /* of the newest 0x520, and of the one before it */
   int as_state, ami;
-  double angle_deg, angle_max_deg, rear_max_nm;
+  double angle_deg, angle_max_deg, front_max_nm, rear_max_nm; /* 0 Nm: an axle without a motor */
   int rpm[4];
   int64_t status_ns, steer_ns, rear_ns, speeds_ns; /* when each was received */
 };
@@ -78,6 +77,9 @@ static void receive(struct car *car, const struct can_frame *frame, int64_t now)
     car->as_state = frame->data[2] & 0xF;
     car->ami = frame->data[2] >> 4;
     car->status_ns = now;
+    break;
+  case 0x521:
+    car->front_max_nm = u16(frame, 4) * 0.1;
     break;
   case 0x522:
     car->rear_max_nm = u16(frame, 4) * 0.1;
@@ -137,6 +139,7 @@ static void steer_to(struct mission *mission, struct command *command, const str
 }
 
 static void speed_up(struct mission *mission, struct command *command, const struct car *car, int rpm, int64_t now) {
+  command->front_nm = car->front_max_nm;
   command->rear_nm = car->rear_max_nm;
   command->motor_rpm = (int)(rpm * 1.15 * GEAR);
   if (slowest_rear_rpm(car) >= rpm)
@@ -234,7 +237,7 @@ static struct command decide(const struct car *car, struct mission *mission, int
   }
   command.estop = mission->estop;
   if (mission->estop)
-    command.rear_nm = command.brake_pct = 0.0;
+    command.front_nm = command.rear_nm = command.brake_pct = 0.0;
   return command;
 }
 
@@ -243,7 +246,7 @@ static struct command decide(const struct car *car, struct mission *mission, int
 static void keep_apart(struct mission *mission, struct command *command) {
   if (fault != ONE_CALL && fault != TORQUE_AND_BRAKE &&
       ((command->rear_nm > 0.0 && mission->brake_pct > 0.0) || (command->brake_pct > 0.0 && mission->torque_nm > 0.0)))
-    command->rear_nm = command->brake_pct = 0.0;
+    command->front_nm = command->rear_nm = command->brake_pct = 0.0;
   mission->torque_nm = command->rear_nm;
   mission->brake_pct = command->brake_pct;
 }
@@ -312,11 +315,33 @@ static int encode(const struct command *command, struct can_frame frames[]) {
   return 5;
 }
 
-static int cycle(const struct car *car, struct mission *mission, struct can_frame frames[], int64_t now) {
-  struct command command = decide(car, mission, now);
-  keep_apart(mission, &command);
-  make_mistake(car, mission, &command);
-  return encode(&command, frames);
+/* ---------------------------------------------------------------- one cycle after the other */
+
+static struct car car;
+static struct mission mission;
+
+/* A new process; false for a mistake that has no such name. */
+bool begin(const char *mistake) {
+  memset(&car, 0, sizeof car);
+  memset(&mission, 0, sizeof mission);
+  for (fault = 0; fault < (int)(sizeof faults / sizeof *faults); fault++)
+    if (strcmp(mistake, faults[fault]) == 0)
+      return true;
+  return false;
+}
+
+/* What has been received since the last cycle goes in, what is sent comes out: up to six frames, their number returned.
+ * `now` in ns of a clock that is never set. */
+int run_cycle(const struct can_frame received[], int count, int64_t now, struct can_frame sent[]) {
+  static bool slow;
+  for (int i = 0; i < count; i++)
+    receive(&car, &received[i], now);
+  if (fault == SLOW_PERIOD && (slow = !slow))
+    return 0;
+  struct command command = decide(&car, &mission, now);
+  keep_apart(&mission, &command);
+  make_mistake(&car, &mission, &command);
+  return encode(&command, sent);
 }
 
 /* ---------------------------------------------------------------- clock and bus */
@@ -326,27 +351,6 @@ static volatile sig_atomic_t ended;
 static void end(int number) {
   (void)number;
   ended = fault != NEVER_ENDS;
-}
-
-static int in_lockstep(void) {
-  struct car car = {0};
-  struct mission mission = {0};
-  struct can_frame frame, frames[6];
-  int64_t now = 0, sent = -S;
-  while (fread(&frame, sizeof frame, 1, stdin) == 1) {
-    if (frame.can_id != TICK) {
-      receive(&car, &frame, now);
-      continue;
-    }
-    memcpy(&now, frame.data, sizeof now);
-    if (fault != SLOW_PERIOD || now - sent >= 2 * PERIOD) {
-      fwrite(frames, sizeof frame, cycle(&car, &mission, frames, now), stdout);
-      sent = now;
-    }
-    fwrite(&frame, sizeof frame, 1, stdout);
-    fflush(stdout);
-  }
-  return 0;
 }
 
 static int64_t monotonic(void) {
@@ -359,8 +363,6 @@ static int on_bus(const char *name) {
   struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = (int)if_nametoindex(name)};
   struct can_filter filter = {.can_id = 0x520, .can_mask = 0x7F8 | CAN_EFF_FLAG | CAN_RTR_FLAG}; /* 0x520 to 0x527 */
   int bus = socket(PF_CAN, SOCK_RAW, CAN_RAW);
-  struct car car = {0};
-  struct mission mission = {0};
   if (bus < 0 || address.can_ifindex == 0 ||
       setsockopt(bus, SOL_CAN_RAW, CAN_RAW_FILTER, &filter, sizeof filter) < 0 ||
       bind(bus, (struct sockaddr *)&address, sizeof address) < 0) {
@@ -368,37 +370,36 @@ static int on_bus(const char *name) {
     return 1;
   }
   for (int64_t due = monotonic(); !ended;) {
-    struct can_frame frame, frames[6];
+    struct can_frame received[MOST], sent[6];
     struct timespec wake;
-    due += fault == SLOW_PERIOD ? 2 * PERIOD : PERIOD;
+    int count = 0;
+    due += PERIOD;
+    if (monotonic() - due > PERIOD)
+      due = monotonic(); /* held up: what was missed is not made up for */
     wake.tv_sec = due / S;
     wake.tv_nsec = due % S;
     clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &wake, NULL);
-    while (recv(bus, &frame, sizeof frame, MSG_DONTWAIT) == sizeof frame)
-      receive(&car, &frame, monotonic());
-    int count = cycle(&car, &mission, frames, monotonic());
+    while (count < MOST && recv(bus, &received[count], sizeof *received, MSG_DONTWAIT) == sizeof *received)
+      count++;
+    count = run_cycle(received, count, monotonic(), sent);
     for (int i = 0; i < count; i++)
-      if (write(bus, &frames[i], sizeof frames[i]) != sizeof frames[i])
-        break; /* a full queue: the next cycle tries again, and a broken cycle is not ended by half of another */
+      if (write(bus, &sent[i], sizeof sent[i]) != sizeof sent[i])
+        break; /* the queue is full: half a cycle is no cycle, and the next one tries again */
   }
   return 0;
 }
 
 int main(int count, char **words) {
-  int most = sizeof faults / sizeof *faults;
   if (count == 2 && strcmp(words[1], "--faults") == 0) {
-    for (int i = 1; i < most; i++)
+    for (unsigned i = 1; i < sizeof faults / sizeof *faults; i++)
       puts(faults[i]);
     return 0;
   }
-  for (int i = 1; count == 4 && strcmp(words[2], "--fault") == 0 && i < most; i++)
-    if (strcmp(words[3], faults[i]) == 0)
-      fault = i;
-  if (count != 2 && fault == NONE) {
+  if (!(count == 2 && begin("none")) && !(count == 4 && strcmp(words[2], "--fault") == 0 && begin(words[3]))) {
     fprintf(stderr, "usage: %s BUS [--fault NAME], or --faults for the names\n", words[0]);
     return 2;
   }
   signal(SIGINT, end);
   signal(SIGTERM, end);
-  return strcmp(words[1], "-") == 0 ? in_lockstep() : on_bus(words[1]);
+  return on_bus(words[1]);
 }

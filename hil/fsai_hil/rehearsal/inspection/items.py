@@ -86,7 +86,7 @@ ITEMS: Final = (
         "SELECTED",
         "MISSION_STATUS is NOT_SELECTED while the AMI shows no mission, and SELECTED once it shows one",
         SPECIFICATION,
-        "bus",
+        "static-a",
     ),
     Item(
         "ami",
@@ -116,7 +116,7 @@ ITEMS: Final = (
         SPECIFICATION,
         "static-a",
     ),
-    Item("launch", "3 s at rest", "the car does not move for 3 s after AS_DRIVING began", RULES, "static-a"),
+    Item("launch", "3 s at rest", "the car does not move for 3 s after AS_DRIVING began", RULES, "static-b"),
     Item(
         "limits",
         "within the limits",
@@ -136,7 +136,7 @@ ITEMS: Final = (
         "torque or brake",
         "axle torque above 0 and brake above 0 never meet at the VCU: BRAKE_PLAUSIBILITY_FAULT",
         SPECIFICATION,
-        "static-a",
+        "demo",
     ),
     Item(
         "rest",

@@ -23,7 +23,7 @@ from fsai_hil.simulator.vcu import Transition
 from fsai_vcu.diagnostics.statistics.echoes import EchoFault, echoes_of
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.codec import Codec, Decoded
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
@@ -53,6 +53,8 @@ SWEEP_DEG: Final = 5.0
 END_S: Final = 5.0
 TINY: Final = 1e-6
 ALL_SCENES: Final = "all"
+LOOKED_AT: Final = frozenset((0x521, 0x522, 0x523, 0x525))  # of what the car sends, besides 0x520
+MOST_KNOWN: Final = 4096
 _CAUSES: Final = {
     ShutdownCause.AI_COMMS_FAULT: "response",
     ShutdownCause.BRAKE_PLAUSIBILITY_FAULT: "torque-brake",
@@ -139,8 +141,10 @@ class InspectionJudge:
         self._rpm = 0
         self._standing_ns: int | None = None
         self._emergencies = 0
+        self._car_sent: dict[int, bytes] = {}  # the last payload of each message
         # the program
         self.frames = 0
+        self._known: dict[tuple[int, bytes], Decoded] = {}
         self._last_ns: dict[int, int] = {}
         self._intervals_ns: dict[int, array[int]] = {can_id: array("q") for can_id in AI_IDS}
         self._counts: Counter[int] = Counter()
@@ -175,6 +179,9 @@ class InspectionJudge:
         if key not in found:
             found[key] = Sighting(words, grave, self.scene, self._now_ns - self._start_ns)
         found[key].count += 1
+
+    def is_wrong(self, slug: str) -> bool:
+        return slug in self._wrong
 
     def show(self, slug: str, fact: str = "") -> None:
         """The item could be seen; `fact`: what was seen, where nothing is wrong with it."""
@@ -250,9 +257,10 @@ class InspectionJudge:
 
     def on_car(self, frame: Frame) -> None:
         """A frame of the car is on the bus."""
-        if frame.can_id not in VCU_IDS:
+        can_id, self._now_ns = frame.can_id, frame.t_ns
+        if can_id != STATUS_ID and (can_id not in LOOKED_AT or self._car_sent.get(can_id) == frame.data):
             return
-        self._now_ns = frame.t_ns
+        self._car_sent[can_id] = frame.data
         image = self._codec.decode(frame).image
         match image:
             case VcuStatus():
@@ -311,7 +319,7 @@ class InspectionJudge:
         if self.ended_ns is not None and t_ns - self.ended_ns >= REACTS_NS:
             self.wrong("end", f"0x{frame.can_id:03X} was sent after the program had ended")
         self._time(frame.can_id, t_ns)
-        decoded = self._codec.decode(frame)
+        decoded = self._decoded(frame)
         for problem in decoded.problems:
             self.wrong("messages", problem)
         match decoded.image:
@@ -323,6 +331,15 @@ class InspectionJudge:
                 self._on_steer(steer)
             case AiBrake() as brake:
                 self._on_brake(brake, t_ns)
+
+    def _decoded(self, frame: Frame) -> Decoded:
+        """A program that stands sends the same over and over."""
+        key = frame.can_id, frame.data
+        if key not in self._known:
+            if len(self._known) >= MOST_KNOWN:
+                self._known.clear()
+            self._known[key] = self._codec.decode(frame)
+        return self._known[key]
 
     def _foreign(self, frame: Frame) -> None:
         name = f"{'extended ' * frame.extended}{'remote ' * frame.remote}0x{frame.can_id:03X}"

@@ -21,7 +21,7 @@ from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import CanBus
 from fsai_vcu.runtime.realtime import FIFO_PRIORITY, go_real_time
 
-PROGRAM: Final = "fsai-vcu rehearse"
+MOST_BUSY_NS: Final = 15 * S  # the car's time stands still while it is held up; without an end it never comes
 BUSY: Final = (sys.executable, "-m", "fsai_hil.rehearsal.scrutineering.load", "processor")
 
 
@@ -44,6 +44,7 @@ class RehearsalProcess(VcuProcess):
         self._program: RunningProcess | None = None
         self._gone = False
         self._busy: list[RunningProcess] = []
+        self._busy_since = 0
 
     def start(self) -> None:
         """Start the program. Raises OSError where it cannot be."""
@@ -57,10 +58,13 @@ class RehearsalProcess(VcuProcess):
             self._scene = rehearsal.scene
             number = rehearsal.planned.index(self._scene) + 1
             self._say(f"{number} of {len(rehearsal.planned)}, {self._scene}: {SCENES[self._scene].words}")
-        if rehearsal.load_wanted and not self._busy:
+        if rehearsal.load_wanted and not self._busy and not rehearsal.load_failed:
             log = self._folder / "load.log"
             self._busy = [RunningProcess("load", BUSY, log, os.environ) for _ in range(os.cpu_count() or 1)]
-            rehearsal.load_was_there = True
+            self._busy_since = time.monotonic_ns()
+        elif self._busy and time.monotonic_ns() - self._busy_since > MOST_BUSY_NS:
+            rehearsal.load_failed = "the busy processors held up the simulated car itself"
+            self._end_load()
         elif self._busy and not rehearsal.load_wanted:
             self._end_load()
         self._watch_program()

@@ -72,7 +72,7 @@ class Rehearsal(World):
         self._judged = 0  # verdicts on missions that have been looked at
         self._mark: tuple[int, int, bool] | None = None  # of a measurement: echoes, losses, whether under load
         self.load_wanted = False
-        self.load_was_there = False  # told by the process
+        self.load_failed = ""  # told by the process: why there was none
         self.end_wanted_ns: int | None = None
 
     # ------------------------------------------------------------ what goes in
@@ -179,8 +179,8 @@ class Rehearsal(World):
         assert self._mark is not None
         echoes, losses, loaded = self._mark
         self.load_wanted = self.inspector.loaded = False
-        if loaded and not self.load_was_there:
-            self.inspector.why_not.setdefault("bus", "nothing kept the processors busy")
+        if loaded and self.load_failed:
+            self.inspector.why_not[self.scene] = self.load_failed
             return
         times_ns = self.vcu.response_times_ns[echoes:]
         self.inspector.responses(times_ns, self.vcu.comms_losses - losses, loaded=loaded)
