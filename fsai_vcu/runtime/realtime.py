@@ -12,13 +12,13 @@ _MCL_FLAGS = 1 | 2 | 4
 
 
 def go_real_time(priority: int = FIFO_PRIORITY) -> tuple[str, ...]:
-    """SCHED_FIFO for the calling thread; the process's memory locked.
+    """SCHED_FIFO for the calling thread, but for none that it starts; the process's memory locked.
 
     Returns what was not allowed, in words.
     """
     refused = []
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (PermissionError, OSError) as error:
         refused.append(
             f"real-time scheduling not allowed ({error.strerror}): the loop may be late under load; "

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from msgspec.structs import fields
+from msgspec.structs import fields, replace
 from vcu_bench import Bench
 
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile
@@ -20,6 +20,8 @@ def test_the_specification_is_the_default_of_every_difference() -> None:
     assert set(PROFILES) == {"specification", "official-simulator"}
     same = {f.name for f in fields(Profile) if getattr(OFFICIAL_SIMULATOR, f.name) == getattr(SPECIFICATION, f.name)}
     # A VCU that needs no acknowledgement is one of the campaign's faults, and no profile.
+    # Nor is known by what it judges torque and brake that change in one call.
+    same -= {"pedals_judged_by_frame"}
     assert same == {"ready_wait_ns", "emergency_timer_ns", "ready_without_acknowledgement"}
 
 
@@ -35,15 +37,27 @@ def test_the_simulator_toggles_every_10_ms_whatever_is_received() -> None:
         assert [image.handshake for image in bench.images(VcuStatus)] in sent
 
 
-def test_the_simulator_gives_the_echo_500_ms() -> None:
+def test_the_simulator_takes_an_inverted_echo_for_which_the_car_stops() -> None:
     for kind, survives in ((SPECIFICATION, False), (OFFICIAL_SIMULATOR, True)):
         bench = Bench("2021", kind).to_driving()
         bench.run(100 * MS)
-        bench.echoes = False
-        bench.run(480 * MS)
+        bench.echoes = False  # it sends the inverse
+        bench.run(2 * S)
         assert (bench.state is AsState.AS_DRIVING) is survives
-    bench.run(30 * MS)
-    assert bench.state is AsState.EMERGENCY_BRAKE
+
+
+def test_a_vcu_that_judges_once_a_cycle_lets_torque_and_brake_change_in_one_call() -> None:
+    for by_frame in (True, False):
+        bench = Bench("2026", replace(SPECIFICATION, pedals_judged_by_frame=by_frame)).to_driving()
+        bench.say(rear_torque_nm=0.0, front_brake_pct=20.0, rear_brake_pct=20.0)
+        bench.run(100 * MS)
+        bench.say(rear_torque_nm=50.0, front_brake_pct=0.0, rear_brake_pct=0.0)  # 0x512 goes before 0x514
+        bench.run(100 * MS)
+        stopped = bench.state is AsState.EMERGENCY_BRAKE
+        assert stopped is by_frame
+        bench.say(front_brake_pct=20.0, rear_brake_pct=20.0)  # and stays
+        bench.run(100 * MS)
+        assert bench.state is AsState.EMERGENCY_BRAKE
 
 
 def _in(*states: AsState) -> Callable[[Bench], object]:

@@ -21,6 +21,7 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints, straightened
+from fsai_vcu.diagnostics.statistics.echoes import EchoFault, echoes_of
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.diagnostics.statistics.wire_bits import AT_ONCE, Halves, wire_bits
 from fsai_vcu.interface.bus_table import BY_ID, Flow
@@ -40,12 +41,14 @@ _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; use
 _HIGH_LOAD = 0.7
 _FROZEN_COUNTS_NS = S
 _STATUS, _WHEELS = {"VCU2AI_Status", "AI2VCU_Status"}, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"}
+_NOT_ON_THE_CAR = "the official simulator takes any, the car raises AI_COMMS_LOST within 100 ms"
 _SENDER = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
 _REMEDIES: Final = {
     "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
     "missing": _SENDER,
     "gap": _SENDER,
     "stopped": _SENDER,
+    "echo": "send back in 0x510 the HANDSHAKE bit of the last 0x520 as it is, in every cycle",
     "handshake": "look at the load of the AI computer and of the bus, and at the log of vcu_bridge",
     "frozen": "check the pulse sensor of that wheel, and its plug",
     "wrong-length": "find who sends it, and see whether --revision is the car's",
@@ -144,6 +147,9 @@ class Handshake:
     response_ms: TimeSpread
     above_100_ms: int  # answers that took as long, or longer
     missed_at_s: float | None  # the first toggle of either kind
+    echoes: int  # 0x510 that were held against the bit of the last 0x520
+    wrong: int  # of them, those with another bit
+    fault: EchoFault | None  # what that is, where it is nearly always so
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +410,17 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     late = in_time & (first_ns - toggle_ns >= COMMS_LOST_NS)
     missed_ns = toggle_ns[unanswered | late]
     missed_at_s = int(missed_ns[0]) / S if len(missed_ns) else None
-    return Handshake(len(waited), int(unanswered.sum()), TimeSpread.of(np.sort(waited)), int(late.sum()), missed_at_s)
+    echoes = echoes_of(asked_ns, asked_bits, answer_ns, answer_bits)
+    return Handshake(
+        len(waited),
+        int(unanswered.sum()),
+        TimeSpread.of(np.sort(waited)),
+        int(late.sum()),
+        missed_at_s,
+        echoes.judged,
+        echoes.wrong,
+        echoes.fault,
+    )
 
 
 def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, float, float]]:
@@ -481,6 +497,14 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
 
 
 def _judge_handshake(handshake: Handshake) -> Iterator[Finding]:
+    if handshake.fault is not None:
+        often = f"{handshake.wrong} of {handshake.echoes} echoes are wrong"
+        if handshake.fault is EchoFault.LATE:
+            yield _finding(False, "handshake", f"the AI computer sends back {handshake.fault.value}: {often}", 0x510)
+        else:
+            text = f"the AI computer sends back {handshake.fault.value}: {often}; {_NOT_ON_THE_CAR}"
+            yield _finding(True, "echo", text, 0x510)
+            return
     if handshake.above_100_ms or handshake.unanswered:
         late = f"{handshake.above_100_ms} answered after {COMMS_LOST_NS // MS} ms or more"
         text = f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"

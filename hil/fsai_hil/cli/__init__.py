@@ -9,6 +9,10 @@ VERBS: Final = {
     "campaign": ("fsai_hil.cli.campaign", "drive thousands of runs with a fault in each, judged by the safety rules"),
     "vcu": ("fsai_hil.simulator.process", "run the simulated VCU and car as a process on a bus"),
     "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0"),
+    "rehearse": (
+        "fsai_hil.cli.rehearse",
+        "put any AI-side program through what scrutineering and the interface specification ask",
+    ),
     "scrutineering": (
         "fsai_hil.cli.scrutineering",
         "measure the handshake's response time on a real vcan0, and report it",

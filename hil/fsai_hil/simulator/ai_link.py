@@ -29,6 +29,7 @@ class AiLink:
 
     def __init__(self, profile: Profile) -> None:
         self._profile = profile
+        self._takes_any = profile.echo_timeout_ns is None
         self.bit = False
         self._toggled_ns = 0  # when the present bit first went out
         self._echoed = True  # the first 0x520 says 1
@@ -63,7 +64,7 @@ class AiLink:
         self._received_ns[type(image)] = t_ns
         self._never_received.discard(type(image))
         setattr(self, AI_MESSAGES[type(image)], image)
-        if isinstance(image, AiStatus) and not self._echoed and image.handshake == self.bit:
+        if isinstance(image, AiStatus) and not self._echoed and (image.handshake == self.bit or self._takes_any):
             self._echoed = True
             self.response_times_ns.append(t_ns - self._toggled_ns)
 
@@ -80,7 +81,10 @@ class AiLink:
 
     def echo_missing(self, now_ns: int) -> bool:
         """The echo has not matched for the time the VCU grants."""
-        return self.received and not self._echoed and now_ns - self._echo_since_ns >= self._profile.echo_timeout_ns
+        patience_ns = self._profile.echo_timeout_ns
+        if patience_ns is None or self._echoed or not self.received:
+            return False
+        return now_ns - self._echo_since_ns >= patience_ns
 
     def lost(self, now_ns: int) -> bool:
         """AI_COMMS_LOST: the echo, or any one of the five messages, is missing. Never before the first AI data."""

@@ -16,6 +16,7 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TextIO
@@ -133,6 +134,8 @@ Counts = tuple[int, int, int, int, int]
 
 class VcuProcess:
     """A world that lives by the monotonic clock and talks on a bus."""
+
+    RECEIVES: Sequence[int] | None = AI_IDS  # None: all that is on the bus
 
     def __init__(self, world: World, bus: CanBus, args: argparse.Namespace) -> None:
         self.world = world
@@ -257,7 +260,7 @@ class VcuProcess:
             return
         self._reopen_ns = now + REOPEN_NS
         with contextlib.suppress(BusError):  # still gone: asked again in a moment
-            self._bus = open_bus(self._args.interface, receive=AI_IDS)
+            self._bus = open_bus(self._args.interface, receive=self.RECEIVES)
             self._say("bus is back", important=True)
 
     def close(self) -> None:

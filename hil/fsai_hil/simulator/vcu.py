@@ -192,8 +192,8 @@ class SimulatedVcu:
                 self._power_off(now_ns)
         sent: list[Frame] = []
         if self.powered:
-            self._look(now_ns)
             due = self._due
+            self._look(now_ns, cycle=any(order == 0 and t_ns <= now_ns for t_ns, order in due))
             while due and due[0][0] <= now_ns:
                 t_ns, order = due[0]
                 burst = self._bursts[order]
@@ -239,8 +239,11 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ deciding
 
-    def _look(self, now_ns: int) -> None:
-        """Look at everything once: subsystems first, then one row of the state machine."""
+    def _look(self, now_ns: int, *, cycle: bool = False) -> None:
+        """Look at everything once: subsystems first, then one row of the state machine.
+
+        cycle: the VCU's own is due, in which it sends; else a frame has come, or time has passed.
+        """
         switches, link, s = self.switches, self._link, self._situation
         comms_lost = link.lost(now_ns)
         if comms_lost and not self._comms_were_lost:
@@ -267,8 +270,9 @@ class SimulatedVcu:
         s.power_cycle_needed = self.power_cycle_needed
         s.comms_lost = comms_lost
         s.estop_request, s.direction = link.status.estop_request, link.status.direction
-        s.torque_requested = link.drive_front.torque_nm > 0.0 or link.drive_rear.torque_nm > 0.0
-        s.brake_requested = link.brake.front_pct > 0.0 or link.brake.rear_pct > 0.0
+        if cycle or self.profile.pedals_judged_by_frame:
+            s.torque_requested = link.drive_front.torque_nm > 0.0 or link.drive_rear.torque_nm > 0.0
+            s.brake_requested = link.brake.front_pct > 0.0 or link.brake.rear_pct > 0.0
         s.steer_requested = link.steer.steer_deg != 0.0
         # what was received before the link was lost acknowledges nothing
         s.mission_status = MissionStatus.NOT_SELECTED if comms_lost else link.status.mission_status
