@@ -16,8 +16,10 @@ from typing import BinaryIO, Final
 MIB: Final = 1 << 20
 SETTINGS_BYTES: Final = 64 << 10
 """Most that is read of a configuration, of operational limits, of what lies beside a log. None takes a tenth of it."""
-TABLE_BYTES: Final = 16 * MIB
-"""Most that is read of a track or a signal database; large ones of whole vehicles have a few MiB."""
+TRACK_BYTES: Final = MIB
+"""Most that is read of a track; the longest ones have 100 KiB."""
+DATABASE_BYTES: Final = 4 * MIB
+"""Most that is read of a signal database. cantools takes five seconds and 100 MiB for each MiB of it."""
 
 _KINDS: Final = {
     stat.S_IFIFO: "it is a pipe, not a file",

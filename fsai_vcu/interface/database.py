@@ -6,6 +6,7 @@ Names that differ and signals that are absent are the codec's business.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections import OrderedDict
 from collections.abc import Iterable
@@ -15,7 +16,7 @@ import fsai_vcu.lean_cantools  # noqa: F401  # isort: skip
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from fsai_vcu.files import TABLE_BYTES, read_named
+from fsai_vcu.files import DATABASE_BYTES, read_named
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
 
@@ -24,7 +25,13 @@ ENCODING = "cp1252"  # what the tools that write DBC files use
 # The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
 # lost: half the signals of a message, or the line that says that a signal is a float. Without a semicolon only its line
 # end shows that a list of receivers is whole.
-_WHOLE_STATEMENT = re.compile(r'.*;\s*|(BO_ \d+ .+|SG_ .+\[.*\] *".*" *\w.*)\n')
+_WHOLE_MESSAGE = re.compile(r"BO_ \d+ .+\n")
+_LONGEST_BYTES = 1785  # SAE J1939-21: the most that a message has, sent in many frames
+_GAP = r"(?:\s|//[^\n]*(?:\n|\Z))"
+_MESSAGE_LENGTH = re.compile(rf"\bBO_{_GAP}+\d+{_GAP}+\w+{_GAP}*:{_GAP}*(\d+)")
+_SIGNAL_PLACE = re.compile(rf":{_GAP}*(\d+){_GAP}*\|{_GAP}*(\d+){_GAP}*@")
+
+logging.getLogger("cantools").addHandler(logging.NullHandler())  # else it says on stderr what a file has twice
 
 
 class DatabaseError(UserError, ValueError):
@@ -52,12 +59,15 @@ def load_database(paths: Iterable[Path | str]) -> Database:
 def _load_one(path: Path) -> Database:
     database = Database(strict=True)
     try:
-        text = read_named(path, TABLE_BYTES, ENCODING, "replace")
+        text = read_named(path, DATABASE_BYTES, ENCODING, "replace")
+        check_lengths(path, text)
         database.add_dbc_string(text)
     except FileNotFoundError:
         raise DatabaseError(f"{path}: no such DBC file") from None
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except DatabaseError:
+        raise
     except Exception as error:  # the parser has no common base class for what a broken file makes it raise
         raise DatabaseError(f"{path}: not a valid DBC file: {_one_line(error)}") from error
     if not database.messages:
@@ -71,10 +81,34 @@ def check_whole(path: Path, text: str) -> None:
     """Raises DatabaseError for a DBC file that was cut off in its last statement."""
     lines = (line.lstrip() for line in text.splitlines(keepends=True))
     statements = [line for line in lines if line and not line.startswith("//")]
-    if not statements or not _WHOLE_STATEMENT.fullmatch(statements[-1]):
+    if not statements or not _is_whole(statements[-1]):
         raise DatabaseError(
             f"{path}: not a valid DBC file: it ends in the middle of a statement, or without a line end"
         )
+
+
+def _is_whole(statement: str) -> bool:
+    if statement.rstrip().endswith(";"):
+        return True
+    head, _, behind = statement.partition('"')
+    _, _, receivers = behind.partition('"')
+    if statement.startswith("SG_ ") and "[" in head and head.rstrip().endswith("]"):
+        return statement.endswith("\n") and re.match(r" *\w", receivers) is not None
+    return bool(_WHOLE_MESSAGE.fullmatch(statement))
+
+
+def check_lengths(path: Path, text: str) -> None:
+    """Raises DatabaseError for a DBC file of messages or signals so long that the parser would make room for them."""
+    for found in _MESSAGE_LENGTH.finditer(text):
+        if _too_large(found[1], _LONGEST_BYTES):
+            raise DatabaseError(f"{path}: not a valid DBC file: a message of more than {_LONGEST_BYTES} bytes")
+    for found in _SIGNAL_PLACE.finditer(text):
+        if any(_too_large(number, 8 * _LONGEST_BYTES) for number in found.groups()):
+            raise DatabaseError(f"{path}: not a valid DBC file: a signal beyond {_LONGEST_BYTES} bytes")
+
+
+def _too_large(digits: str, most: int) -> bool:
+    return len(digits.lstrip("0")) > len(str(most)) or int(digits[-18:]) > most
 
 
 def make_flags_unsigned(database: Database) -> None:
@@ -91,5 +125,5 @@ def make_flags_unsigned(database: Database) -> None:
 
 
 def _one_line(error: Exception) -> str:
-    text = " ".join(str(error).split())
+    text = " ".join(str(error)[:2000].split())[:300]
     return text or type(error).__name__

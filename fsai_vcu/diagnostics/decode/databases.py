@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
-from fsai_vcu.files import TABLE_BYTES, read_named
+from fsai_vcu.files import DATABASE_BYTES, read_named
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
@@ -100,20 +100,24 @@ def _load(path: Path) -> tuple[Database, bool]:
 
     Raises DatabaseError.
     """
-    from fsai_vcu.interface.database import ENCODING, DatabaseError, check_whole, make_flags_unsigned
+    from fsai_vcu.interface.database import ENCODING, DatabaseError, check_lengths, check_whole, make_flags_unsigned
 
     import cantools.database  # isort: skip  after ours, which see to it that it loads no more than it needs
     from cantools.database.can import Database  # isort: skip
 
     try:
         kind = path.suffix.lower().removeprefix(".")
-        text = read_named(path, TABLE_BYTES, ENCODING if kind in ("dbc", "sym") else "utf-8", "replace")
+        text = read_named(path, DATABASE_BYTES, ENCODING if kind in ("dbc", "sym") else "utf-8", "replace")
+        if kind not in _KINDS or kind == "dbc":
+            check_lengths(path, text)
         # Without the cache that an environment variable can name: what it holds is unpickled.
         loaded = cantools.database.load_string(text, kind if kind in _KINDS else None, strict=False)
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except DatabaseError:
+        raise
     except Exception as error:  # the parsers have no common base class for what a broken file makes them raise
-        words = " ".join(str(error).split()) or type(error).__name__
+        words = " ".join(str(error)[:2000].split()) or type(error).__name__
         raise DatabaseError(f"{path}: not a database that cantools can read: {words[:200]}") from error
     if not isinstance(loaded, Database):
         raise DatabaseError(f"{path}: describes diagnostics, not messages")

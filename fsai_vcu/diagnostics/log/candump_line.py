@@ -15,6 +15,9 @@ MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
 ERROR_FLAG: Final = 0x2000_0000  # linux/can.h, CAN_ERR_FLAG
 MAX_CLASSIC_DLC: Final = 8
 MAX_FD_BYTES: Final = 64
+LONGEST_LINE: Final = 4096
+"""Characters of a line; a frame with all that any tool writes beside it takes a tenth of it."""
+_SAID: Final = 1000  # of the lines read together that are no frames; the others are only counted
 
 _LOG_LINE = re.compile(
     r"\s*\((?P<s>\d{1,11})\.(?P<f>\d{1,9})\)\s+(?P<ch>\S+)\s+(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
@@ -43,19 +46,34 @@ def read_lines(
     frames: dict[int, LogFrame] = {}
     unreadable: list[Unreadable] = []
     for number, line in lines:
+        if len(line) > LONGEST_LINE:
+            unreadable.append(Unreadable(number, too_long(line)))
+            continue
         if not line.strip():
             continue
         try:
             frame = parse(line.decode("ascii"))
         except ValueError as error:
-            shown = line[:60].decode("ascii", "backslashreplace")
-            shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
+            if len(unreadable) >= _SAID:
+                unreadable.append(Unreadable(number, "no frame either"))
+                continue
             what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
-            unreadable.append(Unreadable(number, f"{what}: '{shown}{'…' if len(line) > 60 else ''}'"))
+            unreadable.append(Unreadable(number, f"{what}: {_beginning(line)}"))
         else:
             if frame is not None:
                 frames[number] = frame
     return frames, unreadable
+
+
+def too_long(line: bytes) -> str:
+    """What is said of a line that is longer than `LONGEST_LINE`, or of its beginning."""
+    return f"longer than {LONGEST_LINE} characters: {_beginning(line)}"
+
+
+def _beginning(line: bytes) -> str:
+    shown = line[:60].decode("ascii", "backslashreplace")
+    shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
+    return f"'{shown}{'…' if len(line) > 60 else ''}'"
 
 
 def whole_line(line: bytes) -> bool:

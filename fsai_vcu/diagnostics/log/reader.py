@@ -12,7 +12,7 @@ import io
 import logging
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fsai_vcu.diagnostics.log.candump import parse_block
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, read_lines, whole_line
+from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, read_lines, too_long, whole_line
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
 from fsai_vcu.files import open_named
@@ -33,6 +33,9 @@ STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 21  # more than that does not stay in a processor's cache
 _BATCH: Final = 10_000
 _MF4_BATCH: Final = 100_000  # of columns, which cost little more than their memory
+
+_UNPACKED_TIMES: Final = 100  # gzip makes a log 10 to 17 times smaller
+_UNPACKED_BYTES: Final = 64 << 20  # below it anything may be
 
 _KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
 _GZIP: Final = b"\x1f\x8b"
@@ -126,13 +129,25 @@ class Log:
     # ------------------------------------------------------------ text
 
     def _blocks(self) -> Iterator[bytes]:
-        """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts."""
-        carried = b""
+        """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts.
+
+        Of a line longer than any frame's nothing is kept but its beginning: a file may be one line of zeros.
+        """
+        carried, endless = b"", b""
         while read := self._read_block():
+            if endless:
+                _, end, read = read.partition(b"\n")
+                if not end:
+                    continue
+                self._unreadable(0, too_long(endless))
+                self._lines += 1
             whole, end, carried = (carried + read).rpartition(b"\n")
             if end:
                 yield whole + end
-        if carried.strip() and self._broken is None:
+            endless, carried = (carried, b"") if len(carried) > LONGEST_LINE else (b"", carried)
+        if endless:
+            self._unreadable(0, too_long(endless))
+        elif carried.strip() and self._broken is None:
             if whole_gvret(carried) if self.kind == "GVRET" else whole_line(carried):
                 yield carried + b"\n"
             else:
@@ -181,15 +196,15 @@ class Log:
         import fsai_vcu.lean_can  # noqa: F401  before any other part of python-can
 
         if self.kind == "BLF":
-            from can.io.blf import BLFReader
+            from fsai_vcu.diagnostics.log.blf import BoundedBlfReader
 
-            reader = BLFReader(self._stream)  # type: ignore[arg-type]
+            reader = BoundedBlfReader(self._stream)
             self._announced_bytes = reader.file_size
             return iter(reader)
         from can.io.asc import ASCReader
         from can.io.trc import TRCReader
 
-        text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
+        text: Any = _Lines(self._stream, lambda line: self.problems.add(f"{self.name}: a line is {too_long(line)}"))
         if self.kind == "TRC":  # rows that its reader skips, error frames among them, are named in its own log only
             skipped = logging.getLogger(TRCReader.__module__)
             skipped.setLevel(logging.INFO)
@@ -253,6 +268,72 @@ class Log:
         self.close()
 
 
+class _Unpacked(gzip.GzipFile):
+    """What a file packed with gzip holds; OSError where that is more than a packed log can be."""
+
+    def __init__(self, packed: IO[bytes]) -> None:
+        self._packed = _Counted(packed)
+        self._bytes = 0
+        super().__init__(fileobj=self._packed, mode="rb")
+
+    def read(self, size: int | None = -1) -> bytes:
+        parts, left = [], sys.maxsize if size is None or size < 0 else size
+        while left and (part := self._checked(super().read(min(left, _BLOCK_BYTES)))):
+            parts.append(part)
+            left -= len(part)
+        return b"".join(parts)
+
+    def read1(self, size: int = -1) -> bytes:
+        return self._checked(super().read1(size))
+
+    def readline(self, size: int | None = -1) -> bytes:
+        return self._checked(super().readline(_BLOCK_BYTES if size is None or size < 0 else size))
+
+    def _checked(self, data: bytes) -> bytes:
+        self._bytes += len(data)
+        if self._bytes > _UNPACKED_BYTES and self._bytes > _UNPACKED_TIMES * self._packed.bytes:
+            raise OSError(f"it unpacks to more than {_UNPACKED_TIMES} times its size, as no log does")
+        return data
+
+
+class _Counted:
+    """A file of which is counted how much of it has been read."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.bytes = 0
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._file.read(size)
+        self.bytes += len(data)
+        return data
+
+    def seek(self, offset: int) -> int:
+        raise OSError("it is read once")
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _Lines(io.TextIOBase):
+    """A text file whose lines are never longer than `LONGEST_LINE`; `left_out` is told the beginning of one that is."""
+
+    def __init__(self, stream: IO[bytes], left_out: Callable[[bytes], None]) -> None:
+        self._stream = stream
+        self._left_out = left_out
+
+    def readline(self, size: int = -1) -> str:  # type: ignore[override]
+        while len(line := self._stream.readline(LONGEST_LINE + 1)) > LONGEST_LINE and not line.endswith(b"\n"):
+            self._left_out(line)
+            while (part := self._stream.readline(_BLOCK_BYTES)) and not part.endswith(b"\n"):
+                pass
+        return line.decode("utf-8", "replace").replace("\r\n", "\n")
+
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
+
 def open_log(path: Path | str) -> Log:
     """Open the log at `path`; '-' is standard input. Raises LogError."""
     stream: Any = sys.stdin.buffer
@@ -264,7 +345,7 @@ def open_log(path: Path | str) -> Log:
         except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
             raise LogError(f"{path}: {_why(error)}") from error
     if _head(stream).startswith(_GZIP):
-        stream = gzip.GzipFile(fileobj=stream)
+        stream = _Unpacked(stream)
     return Log(name, stream, file if file and file.is_file() else None)
 
 

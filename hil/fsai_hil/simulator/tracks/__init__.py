@@ -20,7 +20,7 @@ from fsai_hil.simulator.tracks.generator import generated_circuit as generated_c
 from fsai_hil.simulator.tracks.layout import Track as Track
 from fsai_hil.simulator.tracks.layout import TrackError as TrackError
 from fsai_hil.simulator.tracks.layout import TrackKind as TrackKind
-from fsai_vcu.files import TABLE_BYTES, read_named
+from fsai_vcu.files import TRACK_BYTES, read_named
 
 NAMES = (*BUILT_IN, "generated-SEED", "random-SEED")
 SEEDED = re.compile(rf"(random|generated)-(\d+)(?:-({'|'.join(STYLES)}))?")
@@ -45,7 +45,7 @@ def load_track(path_or_name: str | Path) -> Track:
     if not path.suffix and not path.exists():
         raise TrackError(f"{name}: no such track; built in are {', '.join(NAMES)}; or name a CSV or YAML file")
     try:
-        text = read_named(path, TABLE_BYTES, "utf-8-sig")
+        text = read_named(path, TRACK_BYTES, "utf-8-sig")
     except OSError as error:
         raise TrackError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import csv
 import math
+import reprlib
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,6 +34,9 @@ TAGS: Final = {color.name.lower(): color for color in ConeColor}
 OTHER_NAMES: Final = {"small_orange": "orange", "orange_big": "big_orange"}
 NO_CONES: Final = frozenset({"midpoint", "inactive", "timekeeping", "invisible"})
 FURTHEST_M: Final = 10_000.0  # no event's track is as large; degrees times 1e7 or millimetres look like this
+LONGEST_WORD: Final = 100  # of a YAML file, in characters
+MOST_TAGS: Final = 20  # that are named as skipped
+MOST_CONES: Final = 5_000  # the longest tracks have a tenth of it; borders are found in a time that grows faster
 FSSIM_LISTS: Final = {
     "cones_left": "blue",
     "cones_right": "yellow",
@@ -65,8 +69,10 @@ def parse_track(text: str, source: str) -> Track:
         elif name in TAGS:
             points.append((x, y))
             colors.append(TAGS[name])
+            if len(points) > MOST_CONES:
+                raise TrackError(f"{at}: more than {MOST_CONES} cones")
         elif name not in NO_CONES:
-            skipped[tag] += 1
+            skipped[tag[:LONGEST_WORD] if len(skipped) < MOST_TAGS else "…"] += 1
     for tag, count in skipped.items():
         print(f"{source}: skipped {count} row{'s' * (count > 1)} with tag {tag!r}", file=sys.stderr)
     if not points:
@@ -82,7 +88,7 @@ def parse_track(text: str, source: str) -> Track:
 
 def _csv_rows(text: str, source: str) -> Iterator[Row]:
     reader = csv.reader(text.splitlines())
-    for row in reader:
+    for row in _whole_rows(reader, source):
         if not any(column.strip() for column in row):
             continue
         at, head = f"{source}: line {reader.line_num}", [column.strip() for column in row[:3]]
@@ -101,13 +107,26 @@ def _csv_rows(text: str, source: str) -> Iterator[Row]:
     raise TrackError(f"{source}: line 1: the header must begin with tag,x,y but is {found!r}")
 
 
+def _whole_rows(reader: Any, source: str) -> Iterator[list[str]]:
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise TrackError(f"{source}: line {reader.line_num}: {error}") from None
+
+
 def _yaml_rows(text: str, source: str) -> Iterator[Row]:
     try:
         import yaml  # type: ignore[import-untyped]  # optional
     except ImportError:
         raise TrackError(f"{source}: reading YAML needs PyYAML; install it with: pip install pyyaml") from None
     try:
-        found = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
+        try:
+            root = loader.get_single_node()
+            _check_plain(root, source)
+            found = {} if root is None else loader.construct_document(root)
+        finally:
+            loader.dispose()
         if "track" in found:
             yield from _pacsim_rows(found["track"], source)
         elif "cones_left" in found:
@@ -116,14 +135,38 @@ def _yaml_rows(text: str, source: str) -> Iterator[Row]:
             raise TrackError(f"{source}: neither a track of PacSim (track:) nor one of fssim (cones_left:)")
     except yaml.YAMLError as error:
         raise TrackError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from None
-    except (AttributeError, IndexError, KeyError, TypeError) as error:
-        raise TrackError(f"{source}: not laid out as PacSim or fssim have it: {error!r}") from None
+    except RecursionError:
+        raise TrackError(f"{source}: its lists are too deep in one another") from None
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, TrackError):
+            raise
+        raise TrackError(f"{source}: not laid out as PacSim or fssim have it: {repr(error)[:200]}") from None
+
+
+def _check_plain(root: Any, source: str) -> None:
+    """Raises TrackError for YAML that is larger than its text, by naming what stands elsewhere, or by a long number."""
+    seen: set[int] = set()
+    waiting = [root]
+    while waiting:
+        node = waiting.pop()
+        content = getattr(node, "value", None)
+        at = f"{source}: line {node.start_mark.line + 1}" if node is not None else source
+        if isinstance(content, list):
+            if id(node) in seen:
+                raise TrackError(f"{at}: is named again elsewhere, as no track needs it")
+            seen.add(id(node))
+            waiting += (each for entry in content for each in (entry if isinstance(entry, tuple) else (entry,)))
+        elif isinstance(content, str) and len(content) > LONGEST_WORD:
+            raise TrackError(f"{at}: a word of more than {LONGEST_WORD} characters")
 
 
 def _pacsim_rows(track: Mapping[str, Any], source: str) -> Iterator[Row]:
     for side in ("left", "right", "unknown"):
         for number, cone in enumerate(track.get(side) or (), 1):
-            yield f"{source}: {side} {number}", str(cone["class"]), [cone["position"][0], cone["position"][1]]
+            at = f"{source}: {side} {number}"
+            if not isinstance(cone["class"], str):
+                raise TrackError(f"{at}: class is {_shown(cone['class'])}, not a text")
+            yield at, cone["class"], [cone["position"][0], cone["position"][1]]
     if start := track.get("start"):
         pose = [start["position"][0], start["position"][1], start["orientation"][2]]
         yield _staged(pose, COG_M, f"{source}: start")
@@ -146,14 +189,20 @@ def _staged(pose: Sequence[Any], ahead_m: float, at: str) -> Row:
 
 
 def _number(values: Sequence[Any], column: int, name: str, at: str) -> float:
-    text = str(values[column]).strip()
+    given = values[column]
+    if isinstance(given, str):
+        given = given.strip()
     try:
-        value = float(text)
-    except ValueError:
-        raise TrackError(f"{at}: {name} is {text!r}, not a number") from None
+        value = float(given)
+    except (TypeError, ValueError, OverflowError):
+        raise TrackError(f"{at}: {name} is {_shown(given)}, not a number") from None
     if not math.isfinite(value):
-        raise TrackError(f"{at}: {name} is {text}, not a finite number")
+        raise TrackError(f"{at}: {name} is {value}, not a finite number")
     return value
+
+
+def _shown(value: object) -> str:
+    return reprlib.repr(value)
 
 
 def as_csv(track: Track, start: Pose) -> str:

@@ -1,0 +1,251 @@
+"""Whatever a file holds, reading it takes memory and time as its bytes do, and ends in frames or in words."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import pickle
+import random
+import resource
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsai_hil.simulator.tracks import TrackError, load_track
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.log.reader import open_log
+from fsai_vcu.interface.database import load_database
+from fsai_vcu.interface.errors import UserError
+from fsai_vcu.interface.revisions import dbc_dir
+from fsai_vcu.runtime.configuration import read_configuration
+from fsai_vcu.runtime.limits_file import read_limits
+
+MIB = 1 << 20
+MEMORY_BYTES = 200 * MIB  # above what the process has
+TIMES = 50.0  # as long as plain content of as many bytes takes
+LEAST_S = 5.0  # of the processor; whoever takes time by powers of the length takes hours
+LINE = "(1700000000.123456) can0 520#0102030405060708\n"
+GVRET = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n" + "166064000,00000520,false,Rx,0,2,64,00,\n" * 30
+ASC = "date Mon Jan 1 00:00:00.000 2024\nbase hex  timestamps absolute\n" + " 0.010000 1  520  Rx   d 2 64 00\n" * 30
+TRC = ";$FILEVERSION=1.1\n;\n" + "  1)      10.0  Rx     0520  2    64 00\n" * 30
+TOML = "[can]\nrevision = '2026'\n[limits]\nfile = ''\n[missions]\ntrackdrive_laps = 10\n"
+LIMITS = "max_speed_mps = 5.0\nmax_axle_torque_nm = 100\n"
+CSV = "tag,x,y,direction\n" + "".join(f"blue,{x},1.5,0\nyellow,{x},-1.5,0\n" for x in range(40)) + "car_start,0,0,0\n"
+YAML = "track:\n  left:\n" + "".join(f"  - {{class: blue, position: [{x}.0, 1.5, 0.0]}}\n" for x in range(20))
+YAML += "  right:\n" + "".join(f"  - {{class: yellow, position: [{x}.0, -1.5, 0.0]}}\n" for x in range(20))
+
+
+def in_little_memory(work: Callable[[], Any]) -> Any:
+    """What `work` returns in a process that may take `MEMORY_BYTES` more than this one has."""
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            most = pages * resource.getpagesize() + MEMORY_BYTES
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            result: Any = work()
+        except BaseException as error:
+            result = AssertionError(f"{type(error).__name__}: {error}"[:500])
+        with os.fdopen(write_end, "wb") as pipe:
+            pickle.dump(result, pipe)
+        os._exit(0)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as pipe:
+        sent = pipe.read()
+    os.waitpid(child, 0)
+    assert sent, "it was ended by the limit"
+    result = pickle.loads(sent)
+    if isinstance(result, AssertionError):
+        raise result
+    return result
+
+
+def frames_and_problems(path: Path) -> tuple[int, list[str]]:
+    """A log read through, without keeping it."""
+    with open_log(path) as log:
+        return sum(len(frames) for frames in log.chunks()), log.problems.texts
+
+
+def spent_s(work: Callable[[], Any]) -> tuple[Any, float]:
+    """What it returns, and the time of the processor it took."""
+    began_s = time.process_time()
+    return work(), time.process_time() - began_s
+
+
+def blf_of(container: bytes, objects: int = 1) -> bytes:
+    """A BLF whose containers unpack to what is given."""
+    packed = zlib.compress(container)
+    body = struct.pack("<H6xL4x", 2, len(container)) + packed
+    entry = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(body), 10) + body
+    entry += bytes(len(entry) % 4)
+    return struct.pack("<4sL", b"LOGG", 144) + bytes(136) + entry * objects
+
+
+@pytest.fixture(scope="module")
+def plain_s_per_mib(tmp_path_factory: pytest.TempPathFactory) -> float:
+    path = tmp_path_factory.mktemp("plain") / "plain.log"
+    path.write_text(LINE * (4 * MIB // len(LINE)))
+    return spent_s(lambda: frames_and_problems(path))[1] / 4
+
+
+LOGS: dict[str, Callable[[], bytes]] = {
+    "zeros behind frames": lambda: LINE.encode() * 1000 + bytes(32 * MIB),
+    "one line": lambda: b"(" * (32 * MIB),
+    "lines too long": lambda: (b"x" * 100_000 + b"\n" + LINE.encode()) * 300,
+    "lines of nothing": lambda: b"x\n" * (MIB // 4),
+    "packed zeros": lambda: gzip.compress(bytes(100 * MIB), 1),
+    "packed zeros of GVRET": lambda: gzip.compress(GVRET.encode() + bytes(80 * MIB), 1),
+    "packed frames all alike": lambda: gzip.compress(LINE.encode() * (80 * MIB // len(LINE)), 1),
+    "one line of ASC": lambda: ASC.encode() + b"9" * (32 * MIB),
+    "packed line of ASC": lambda: gzip.compress(ASC.encode() + bytes(80 * MIB), 1),
+    "packed line of TRC": lambda: gzip.compress(TRC.encode() + bytes(80 * MIB), 1),
+    "packed line of BLF": lambda: gzip.compress(blf_of(b"")[:16] + bytes(80 * MIB), 1),
+    "a container of BLF": lambda: blf_of(bytes(80 * MIB)),
+    "an object of BLF": lambda: blf_of(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 1 << 31, 1) + bytes(100_000), 2000),
+}
+
+
+@pytest.mark.parametrize("what", LOGS)
+def test_a_log_takes_memory_and_time_as_its_bytes_do(what: str, plain_s_per_mib: float, tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(LOGS[what]())
+    (_, problems), taken_s = in_little_memory(lambda: spent_s(lambda: frames_and_problems(path)))
+    assert problems and all(len(problem) < 400 + len(str(path)) for problem in problems)
+    assert taken_s < max(LEAST_S, TIMES * plain_s_per_mib * path.stat().st_size / MIB)
+
+
+def test_of_a_line_without_end_the_frames_around_it_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    for length in (5_000, 3 * MIB, 6 * MIB):
+        path.write_bytes(LINE.encode() * 3 + b"\0" * length + b"\n" + LINE.encode() * 2 + b"?\n")
+        count, problems = frames_and_problems(path)
+        assert count == 5
+        assert [problem.partition(": ")[2].partition(": '")[0] for problem in problems] == [
+            "line 4: longer than 4096 characters",
+            "line 7: not a line of candump",
+        ]
+
+
+def _expanding_yaml(last: str) -> str:
+    lists = ["a0: &a0 [" + ",".join("x" * 9) + "]"]
+    lists += [f"a{n}: &a{n} [" + ",".join([f"*a{n - 1}"] * 9) + "]" for n in range(1, 9)]
+    return "\n".join([*lists, last])
+
+
+def _merging_yaml() -> str:
+    maps = ["a0: &a0 {x: 1}", *(f"a{n}: &a{n} {{<<: [{','.join([f'*a{n - 1}'] * 9)}]}}" for n in range(1, 9))]
+    return "\n".join([*maps, "track: {left: [*a8]}"])
+
+
+TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
+    "a class that expands": ("yaml", lambda: _expanding_yaml("track: {left: [{class: *a8, position: [1, 2]}]}")),
+    "a place that expands": ("yaml", lambda: _expanding_yaml("track: {left: [{class: blue, position: *a8}]}")),
+    "a point that expands": ("yaml", lambda: _expanding_yaml("cones_left: [*a8]")),
+    "maps that merge": ("yaml", _merging_yaml),
+    "deep lists": ("yaml", lambda: "track: " + "[" * 100_000),
+    "a number of base 60": ("yaml", lambda: "track: {left: [{class: blue, position: [" + ":1" * 200_000 + "]}]}"),
+    "digits": ("yaml", lambda: "cones_left: [[" + "9" * 500_000 + ", 1]]"),
+    "digits of a cone": ("csv", lambda: "tag,x,y\nblue," + "9" * 500_000 + ",1\n"),
+    "many cones": ("csv", lambda: "tag,x,y\n" + "blue,1,1\n" * 100_000),
+    "many names": ("csv", lambda: "tag,x,y\n" + "".join(f"{'n' * 50}{n},1,1\n" for n in range(15_000))),
+    "a quoted column": ("csv", lambda: 'tag,x,y\n"' + "x" * 900_000),
+    "too large a track": ("csv", lambda: "tag,x,y\n" + "blue,1,1\n" * 200_000),
+    "a long message": ("dbc", lambda: 'VERSION ""\nBU_: A\nBO_ 1 M: 99999999 A\n SG_ S : 0|1@1+ (1,0) [0|0] "" A\n\n'),
+    "a long message in a comment": ("dbc", lambda: "BU_: A\nBO_ // x\n 1 M // y\n: 99999999 A\n\n"),
+    "a long signal": ("dbc", lambda: 'BU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|999999999999@1+ (1,0) [0|0] "" A\n\n'),
+    "digits of a message": ("dbc", lambda: "BU_: A\nBO_ " + "9" * 500_000 + " M: 8 A\n"),
+    "a million signals": ("dbc", lambda: "BO_ 1 M: 8 A\n" + ' SG_ S : 0|1@1+ (1,0) [0|0] "" A\n' * 1_000_000),
+    "an open text": ("dbc", lambda: 'VERSION "' + '"\\' * 200_000),
+    "brackets": ("dbc", lambda: 'BU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|1@1+ (1,0) [0|0] "" A\nSG_ ' + "[" * 200_000),
+    "entities": (
+        "kcd",
+        lambda: (
+            '<?xml version="1.0"?><!DOCTYPE k [<!ENTITY a0 "x">'
+            + "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 9}">' for n in range(1, 12))
+            + "]><NetworkDefinition>&a11;</NetworkDefinition>"
+        ),
+    ),
+}
+READERS: dict[str, tuple[Callable[[Path], object], ...]] = {
+    "yaml": (load_track,),
+    "csv": (load_track,),
+    "dbc": (lambda path: load_databases([path]), lambda path: load_database([path])),
+    "kcd": (lambda path: load_databases([path]),),
+    "toml": (read_configuration, read_limits),
+    "log": (frames_and_problems,),
+}
+
+
+def refusals(path: Path, kind: str) -> Iterator[str]:
+    """What the readers of that kind say of a file that they do not take."""
+    for read in READERS[kind]:
+        try:
+            read(path)
+        except (UserError, TrackError) as error:
+            yield str(error)
+
+
+@pytest.mark.parametrize("what", TABLES)
+def test_a_table_that_expands_is_refused_in_one_line(what: str, tmp_path: Path) -> None:
+    kind, content = TABLES[what]
+    path = tmp_path / f"given.{kind}"
+    made = content()
+    path.write_bytes(made if isinstance(made, bytes) else made.encode())
+    said, taken_s = in_little_memory(lambda: spent_s(lambda: list(refusals(path, kind))))
+    assert len(said) == len(READERS[kind])
+    for line in said:
+        assert str(path) in line and "\n" not in line and len(line) < 500 + len(str(path)), line[:1000]
+    assert taken_s < 4 * LEAST_S
+
+
+PLAIN: dict[str, tuple[str, bytes]] = {
+    "candump": ("log", LINE.encode() * 40),
+    "packed": ("log", gzip.compress(LINE.encode() * 40)),
+    "GVRET": ("log", GVRET.encode()),
+    "ASC": ("log", ASC.encode()),
+    "TRC": ("log", TRC.encode()),
+    "BLF": ("log", blf_of(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 48, 1) + bytes(32))),
+    "DBC": ("dbc", (dbc_dir() / "pcan_gps.dbc").read_bytes()),
+    "configuration": ("toml", TOML.encode()),
+    "limits": ("toml", LIMITS.encode()),
+    "CSV": ("csv", CSV.encode()),
+    "YAML": ("yaml", YAML.encode()),
+}
+
+
+def torn(content: bytes, chance: random.Random) -> bytes:
+    """As a disk or a person may have left it: cut off, a part many times over, bytes replaced, a long run within."""
+    begin, end = sorted(chance.randrange(len(content) + 1) for _ in range(2))
+    match chance.randrange(4):
+        case 0:
+            return content[:end]
+        case 1:
+            return content[:begin] + content[begin:end] * min(200, 1 + 60_000 // (1 + end - begin)) + content[end:]
+        case 2:
+            return content[:begin] + bytes(chance.randrange(256) for _ in range(chance.randrange(9))) + content[end:]
+        case _:
+            run = chance.choice([b"\0", b"9", b"[", b"{", b"(", b" ", b"a.", b'"', b"\\", b"- ", b"\xff", b"*a"])
+            return content[:begin] + run * (30_000 // len(run)) + content[begin:]
+
+
+@pytest.mark.parametrize("kind", PLAIN)
+def test_a_torn_file_is_read_or_refused_in_words(kind: str, tmp_path: Path) -> None:
+    suffix, content = PLAIN[kind]
+    path = tmp_path / f"given.{suffix}"
+
+    def all_torn() -> int:
+        refused = 0
+        for seed in range(25):
+            path.write_bytes(torn(content, random.Random(seed)))
+            refused += len(list(refusals(path, suffix)))
+        return refused
+
+    refused, taken_s = in_little_memory(lambda: spent_s(all_torn))
+    assert refused or suffix == "log"
+    assert taken_s < 8 * LEAST_S
