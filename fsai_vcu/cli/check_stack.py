@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Collection
 from dataclasses import asdict
 from typing import Any
 
@@ -15,6 +16,9 @@ from fsai_vcu.diagnostics.stack import TOPICS, Ends, StackWatch
 EXAMPLE = "fsai-vcu check-stack --seconds 20 && echo in order"
 ABOUT = "It only listens. Exit status: 0 nothing is wrong, 1 something is. Best while the car drives."
 _TURN_S = 0.1
+_ANSWER_S = 2.0  # for all nodes together to say whose time they go by
+_CLOCK = "use_sim_time"
+_OWN_PARTS = ("link", "supervision", "car", "loop")  # of vcu_bridge in /diagnostics; the rest are complaints of nodes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,6 +72,9 @@ def listen(node: Any, stack: StackWatch) -> None:
         for status in message.status:
             for pair in status.values if status.name == "vcu_bridge: supervision" else ():
                 stack.diagnose(pair.key, pair.value)
+            own = status.name.partition("vcu_bridge: ")[2] in _OWN_PARTS
+            if status.hardware_id == "ADS-DV" and not own:
+                stack.complain(status.name, status.message)
 
     for topic, expected in TOPICS.items():
 
@@ -78,6 +85,29 @@ def listen(node: Any, stack: StackWatch) -> None:
             kinds[topic], topic, on_message, qos_profile_sensor_data if expected.least_hz else kept
         )
     node.create_subscription(DiagnosticArray, "diagnostics", on_diagnostics, 10)
+
+
+def by_clock(node: Any, names: Collection[str]) -> dict[str, bool]:
+    """Whether these nodes go by /clock, as their parameter use_sim_time says; without those that do not answer."""
+    import rclpy
+    from rcl_interfaces.srv import GetParameters
+
+    asked: dict[str, Any] = {}
+    clients = []
+    for name, namespace in node.get_node_names_and_namespaces():
+        if name in names:
+            service = f"{namespace.rstrip('/')}/{name}/get_parameters"
+            clients.append((name, node.create_client(GetParameters, service)))
+    until = time.monotonic() + _ANSWER_S
+    while time.monotonic() < until and not (len(asked) == len(clients) and all(each.done() for each in asked.values())):
+        for name, client in clients:
+            if name not in asked and client.service_is_ready():
+                asked[name] = client.call_async(GetParameters.Request(names=[_CLOCK]))
+        rclpy.spin_once(node, timeout_sec=_TURN_S)
+    for _, client in clients:
+        node.destroy_client(client)
+    answers = {name: future.result().values for name, future in asked.items() if future.done()}
+    return {name: values[0].bool_value for name, values in answers.items() if values}
 
 
 def watch(namespace: str, seconds: float, wait_s: float) -> StackWatch:
@@ -94,6 +124,9 @@ def watch(namespace: str, seconds: float, wait_s: float) -> StackWatch:
             if not began and any(heard.count for heard in stack.heard.values()):
                 began, until = True, time.monotonic() + seconds
         stack.ends = {topic: ends_of(node, topic) for topic in TOPICS}
+        names = {name for ends in stack.ends.values() for name in (*ends.publishers, *ends.readers)}
+        stack.by_clock = by_clock(node, names)
+        stack.clock_published = bool(node.count_publishers("/clock"))
     return stack
 
 

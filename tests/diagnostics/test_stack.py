@@ -30,10 +30,14 @@ def state(**values: object) -> SimpleNamespace:
     return stamped(**{"run_id": 7, "steering_max_rad": 0.36, "emergency": "", "stopping": "", **values})
 
 
+def run(run_id: int, *, mission: int = 0, may_move: bool = False) -> SimpleNamespace:
+    return SimpleNamespace(run_id=run_id, mission=mission, may_move=may_move)
+
+
 def watched(message: Callable[[], SimpleNamespace] = command, period_s: float = 0.02) -> StackWatch:
     """A stack in order for 2 s, but for its commands."""
     watch = StackWatch()
-    watch.receive("run_state", SimpleNamespace(run_id=7), 0.0, 0)
+    watch.receive("run_state", run(7), 0.0, 0)
     for role in ("planner", "controller"):
         watch.receive("reset_confirmation", SimpleNamespace(role=role, run_id=7), 0.0, 0)
     for number in range(round(2.0 / period_s)):
@@ -76,7 +80,7 @@ def test_too_slow_commands_are_named_with_their_rate() -> None:
 
 def test_commands_of_another_run_and_missing_resets_are_named() -> None:
     watch = watched()
-    watch.receive("run_state", SimpleNamespace(run_id=8), 2.0, 0)
+    watch.receive("run_state", run(8), 2.0, 0)
     watch.receive("vehicle_cmd", command(), 1.99, round(ROS_S * 1e9))
     planner, controller, stale = wrong(watch)
     assert "the planner has not confirmed run 8" in planner and "the controller has not" in controller
@@ -127,3 +131,47 @@ def test_ends_that_do_not_fit_are_named_by_their_nodes() -> None:
         "path: nobody publishes it, and ours waits for it",
         "vehicle_state: ours does not receive team: best effort and reliable",
     ]
+
+
+def test_a_planner_that_sends_no_plan_is_named_with_its_reason() -> None:
+    watch = watched()
+    watch.ends = {"path": Ends(publishers=["planner"], readers=["controller"])}
+    late = stamped(late="/detected_cones of x: nothing received for 300 ms")
+    watch.receive("planner_status", late, 0.0, round(ROS_S * 1e9))
+    (line,) = wrong(watch)
+    assert line.startswith("path: nobody sends a plan: planner publishes it but sends nothing, and controller waits")
+    assert "the planner says: /detected_cones of x: nothing received" in line
+
+
+@pytest.mark.parametrize(("mission", "said"), [(4, True), (5, False)])
+def test_paths_without_a_point_are_named_where_one_is_needed(mission: int, said: bool) -> None:
+    watch = watched()
+    watch.receive("run_state", run(7, mission=mission, may_move=True), 1.0, 0)
+    for number in range(20):
+        at = number * 0.1, round(ROS_S * 1e9)
+        watch.receive("planner_status", stamped(late="", note="no lane among 7 cones"), *at)
+        watch.receive("path", stamped(poses=[]), *at)
+    lines = wrong(watch)
+    assert lines == [] or "none of 20 paths has a point; the planner says: no lane among 7 cones" in lines[0]
+    assert bool(lines) == said
+
+
+def test_nodes_that_go_by_a_clock_that_nobody_publishes_are_named() -> None:
+    watch = watched()
+    watch.by_clock = {"planner": True, "bridge": False}
+    (line,) = wrong(watch)
+    assert line.startswith("clock: nobody publishes it, and use_sim_time is set in planner: that clock stands still")
+    watch.clock_published = True
+    (line,) = wrong(watch)
+    assert line.startswith("clock: planner goes by /clock (use_sim_time), and bridge does not")
+    watch.by_clock = {"planner": True, "bridge": True}
+    assert wrong(watch) == []
+
+
+def test_what_nodes_complain_of_is_told() -> None:
+    watch = watched()
+    watch.complain("vcu_bridge: /vehicle_cmd", "/vehicle_cmd of team refused: throttle is nan")
+    watch.complain("path_planner: clock", "this node's own clock stands still at 0 s")
+    clock, command = wrong(watch)
+    assert clock.startswith("clock: path_planner says: this node's own clock stands still")
+    assert command.startswith("vehicle_cmd: vcu_bridge says: /vehicle_cmd of team refused: throttle is nan;")

@@ -5,16 +5,39 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
+import time
 
 import pytest
 from fsai_msgs.msg import ResetConfirmation, VehicleCommand, VehicleState
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from ros_rig import RosRig
+from ros_rig import PATIENCE_S, RosRig
 
 from fsai_nodes import qos
-from fsai_vcu.cli.check_stack import ends_of
+from fsai_vcu.cli.check_stack import by_clock, ends_of
 from fsai_vcu.cli.main import main
+
+
+class Spinning:
+    """The rig's nodes answer from a thread of their own."""
+
+    def __init__(self, rig: RosRig) -> None:
+        self._rig = rig
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            self._rig.turns(1)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
 
 
 def test_a_reader_that_does_not_hear_a_publisher_is_found(rig: RosRig) -> None:
@@ -58,3 +81,18 @@ def test_the_verb_tells_a_good_stack_from_a_bad_one(rig: RosRig, brake: float) -
     # What a busy machine adds (pauses, rates, ages) is no fault of the stack, and judged without a clock elsewhere.
     assert any("throttle and brake together" in each["wrong"] for each in told["wrong"]) == bool(brake), told
     assert process.returncode == bool(told["wrong"])
+
+
+def test_nodes_say_whose_time_they_go_by(rig: RosRig) -> None:
+    """Without a /clock that time stands still: check-stack says so."""
+    rig.add(Node("by_clock", parameter_overrides=[Parameter("use_sim_time", value=True)]))
+    rig.add(Node("by_itself"))
+    names = ["by_clock", "by_itself", "gone"]
+    with Spinning(rig):
+        asking = Node("asking")
+        try:
+            until = time.monotonic() + PATIENCE_S
+            while (found := by_clock(asking, names)) != {"by_clock": True, "by_itself": False}:
+                assert time.monotonic() < until, found
+        finally:
+            asking.destroy_node()

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import words_of
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked
@@ -26,6 +27,7 @@ GAP_MAX_S = _CONFIG.command_stale_ns / 1e9
 _STEER_MAX_RAD = math.radians(30.0)  # where the car has not said its own
 _COMMANDED = [name for name in VehicleCommand.__struct_fields__ if name != "t_sensor_ns"]
 _ASKED = tuple(each.value for each in Asked)  # such a stop is in order
+_CLOCK = "start it without use_sim_time, or let everything go by one /clock"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,12 @@ class StackWatch:
     stopping: str = ""
     frames: set[str] = field(default_factory=set)
     steer_max_rad: float = _STEER_MAX_RAD
+    drives: bool = False  # it was to drive by a path at least once
+    points: int = 0  # of all paths
+    no_path: str = ""  # in the planner's words
+    by_clock: dict[str, bool] = field(default_factory=dict)  # by node: whether its time is what /clock says
+    clock_published: bool = False
+    told: dict[tuple[str, str], str] = field(default_factory=dict)  # what nodes complain of: by node, and of what
 
     def receive(self, topic: str, message: Any, now_s: float, ros_ns: int) -> None:
         """`now_s`: any steady clock; `ros_ns`: ROS time, by which messages are stamped."""
@@ -118,6 +126,7 @@ class StackWatch:
             # With `late` a planner's status has no path, and no stamp.
             age_s = (ros_ns - stamp_ns) / 1e9 if stamp_ns or getattr(message, "late", "") else None
         if topic == "planner_status" and message.late:
+            self.no_path = message.late
             return
         self.heard[topic].receive(now_s, age_s)
         if hasattr(self, f"_on_{topic}"):
@@ -125,6 +134,7 @@ class StackWatch:
 
     def _on_run_state(self, message: Any) -> None:
         self.run_id = message.run_id
+        self.drives |= message.may_move and message.mission not in WITHOUT_PATH
 
     def _on_reset_confirmation(self, message: Any) -> None:
         self.confirmed.add((message.role, message.run_id))
@@ -139,6 +149,11 @@ class StackWatch:
     def _on_path(self, message: Any) -> None:
         if message.poses:
             self.frames.add(message.header.frame_id)
+        self.points += len(message.poses)
+
+    def _on_planner_status(self, message: Any) -> None:
+        if message.note:
+            self.no_path = message.note
 
     def _on_vehicle_cmd(self, message: Any) -> None:
         command = VehicleCommand(0, **{name: getattr(message, name) for name in _COMMANDED})
@@ -157,6 +172,11 @@ class StackWatch:
         elif key.startswith("last detail of "):
             self.details[key.removeprefix("last detail of ")] = value
 
+    def complain(self, name: str, message: str) -> None:
+        """An entry of /diagnostics by which a node complains: 'path_planner: /vehicle_state', 'path_planner: clock'."""
+        node, _, what = name.partition(": ")
+        self.told[node, what] = message
+
     # ------------------------------------------------------------ what is wrong
 
     def findings(self) -> Iterator[Finding]:
@@ -169,6 +189,12 @@ class StackWatch:
                 yield Finding(topic, "nothing was received", to_do)
             if expected.least_hz:
                 yield from _of_times(topic, heard, expected.least_hz)
+        yield from self._of_plans()
+        yield from self._of_clocks()
+        for (node, what), message in self.told.items():
+            if what != "clock":
+                to_do = "fsai_nodes.declarations has what each field may be"
+                yield Finding(what.removeprefix("/"), f"{node} says: {message}", to_do)
         for role in ROLES if self.run_id is not None else ():
             if (role, self.run_id) not in self.confirmed:
                 to_do = f"publish ResetConfirmation(role='{role}') with each new run_id of /run_state, transient local"
@@ -185,6 +211,38 @@ class StackWatch:
                 yield Finding("vehicle_cmd", wrong, "docs/supervision.md says what follows from it")
         if self.stopping:
             yield Finding("vehicle_state", f"the car was stopped: {self.stopping}", "the first lines here may say why")
+
+    def _of_plans(self) -> Iterator[Finding]:
+        """What is published and does not come; and paths that lead nowhere."""
+        why = f"; the planner says: {self.no_path}" if self.no_path else ""
+        for topic in ("detected_cones", "path"):
+            ends = self.ends.get(topic, Ends())
+            if ends.publishers and ends.readers and not self.heard[topic].count:
+                who, waits = (" and ".join(sorted(set(each))) for each in (ends.publishers, ends.readers))
+                words = "nobody sends a plan" if topic == "path" else "nothing was received"
+                wrong = f"{words}: {who} publishes it but sends nothing, and {waits} waits for it"
+                yield Finding(
+                    topic, wrong + (why if topic == "path" else ""), "the log of that node says what it misses"
+                )
+        if self.drives and self.heard["path"].count and not self.points:
+            wrong = f"nobody sends a plan: none of {self.heard['path'].count} paths has a point{why}"
+            yield Finding("path", wrong, "look at the cones that come: fsai-vcu pitwall CHANNEL --ros")
+
+    def _of_clocks(self) -> Iterator[Finding]:
+        """Nodes whose own clock stands still, or is another than the others'."""
+        simulated = sorted(node for node, by_clock in self.by_clock.items() if by_clock)
+        others = sorted(node for node, by_clock in self.by_clock.items() if not by_clock)
+        if simulated and not self.clock_published:
+            wrong = (
+                f"nobody publishes it, and use_sim_time is set in {' and '.join(simulated)}: that clock stands still"
+            )
+            yield Finding("clock", wrong, _CLOCK)
+        elif simulated and others:
+            wrong = f"{' and '.join(simulated)} goes by /clock (use_sim_time), and {' and '.join(others)} does not"
+            yield Finding("clock", wrong, _CLOCK)
+        for (node, what), message in self.told.items():
+            if what == "clock" and node not in simulated:
+                yield Finding("clock", f"{node} says: {message}", _CLOCK)
 
 
 def _of_ends(topic: str, ends: Ends) -> Iterator[Finding]:
