@@ -14,7 +14,6 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial, wraps
-from pathlib import Path as FilePath
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -317,7 +316,7 @@ class VcuBridge(LifecycleNode):
             bus=text("can_interface"),
             revision=text("revision"),
             car=text("revision") if car == SAME_AS_REVISION else car,
-            dbc_files=tuple(FilePath(name.strip()) for name in text("dbc_files").split(",") if name.strip()),
+            dbc_files=tuple(name.strip() for name in text("dbc_files").split(",") if name.strip()),
             wheel_mapping=wheel_mapping,
             config=config,
             limits=limits,
@@ -451,6 +450,7 @@ class VcuBridge(LifecycleNode):
         more: dict[str, object] = {"bus reopened": newest.reopened, "deadline misses": newest.deadline_misses}
         for index, sentence in enumerate(newest.scheduling_refused, 1):
             more[f"not real-time {index}"] = sentence
+        more |= loop.link_trouble()
         stamp = self._clocks.stamp_of(self._clocks.now_ns())
         self._diagnostics.publish(diagnostics_of(self._report(loop), stamp, more))
 
