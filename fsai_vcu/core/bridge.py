@@ -14,7 +14,6 @@ out before it (safety rule 1).
 from __future__ import annotations
 
 import math
-from types import MappingProxyType
 from typing import Any, cast
 
 from msgspec.structs import replace
@@ -23,7 +22,7 @@ from fsai_vcu.core.bridge_state import BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import Run
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
-from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.report import UNKNOWN_LENGTH, WHYS_KEPT, BridgeReport
 from fsai_vcu.core.supervision import supervisor, wheel_speeds
 from fsai_vcu.core.supervision.changes import changes
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
@@ -56,6 +55,7 @@ from fsai_vcu.interface.messages import (
 )
 from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
 from fsai_vcu.interface.revisions import REVISION_IDS, Revision, revision_by_frame
+from fsai_vcu.interface.values import DETAIL_LENGTH, WORD_LENGTH, shortened
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "BridgeState", "official_simulator"]
 
@@ -87,6 +87,7 @@ class Bridge:
         self._limits = limits or UNLIMITED
         self._gate_config = gate_config(self._config, revision, car, limits)
         self._steer_limit_rad = math.radians(revision.steer_limit_deg)
+        self._unknown = shortened(codec.unknown, UNKNOWN_LENGTH)
 
         self._state = BridgeState(SupervisorState(run_id=first_run_id), standing_start(now_ns))
         # What has come since the state was last looked at, by the fields of `vehicle` and `gps`: a cycle's thirty
@@ -127,7 +128,7 @@ class Bridge:
             return
         tally, can_id = self.tally, frame.can_id
         if not frame.extended:
-            tally.rx[can_id] += 1
+            tally.received(can_id)
             if can_id in _NOT_ONLY_DECODED:
                 if can_id in AI_IDS:
                     self._on_intruder(frame)
@@ -179,6 +180,7 @@ class Bridge:
     def _on_doubted_status(self, doubt: str, t_ns: int) -> None:
         """A 0x520 of which at most the handshake counts."""
         state = self._state
+        doubt = shortened(doubt, DETAIL_LENGTH)
         self._vehicle_news["status_known"] = False
         self._state = replace(
             state, supervisor=supervisor.received(self._config, state.supervisor, t_ns), status_doubt=doubt
@@ -241,7 +243,9 @@ class Bridge:
     def on_reset_confirmed(self, role: str, run_id: int) -> None:
         """Planner or controller has forgotten everything before run `run_id`."""
         if role not in supervisor.ROLES:
-            self.tally.problem(f"reset confirmed by {role!r}: the roles are {', '.join(supervisor.ROLES)}")
+            self.tally.problem(
+                f"reset confirmed by {shortened(role, WORD_LENGTH)!r}: the roles are {', '.join(supervisor.ROLES)}"
+            )
             return
         before = self._state.supervisor
         self._supervise(supervisor.confirm(before, role, run_id))
@@ -264,6 +268,7 @@ class Bridge:
             return False, "this software was stopped: it sends nothing any more"
         state = self._state
         before = state.supervisor.emergency
+        why = shortened(why, DETAIL_LENGTH)
         self._supervise(supervisor.ask_emergency(state.supervisor, Asked.OPERATOR, why, now_ns))
         if before is not None:
             return True, f"already latched because {before.words}"
@@ -281,6 +286,7 @@ class Bridge:
 
     def bus_lost(self, why: str, now_ns: int) -> None:
         """The interface is gone, down or bus-off: silence until `bus_back`."""
+        why = shortened(why, DETAIL_LENGTH)
         if self._state.bus_lost is None:
             self._lose_bus(why, now_ns)
             self._state = replace(self._state, bus_lost=why)
@@ -298,6 +304,7 @@ class Bridge:
 
     def loop_fault(self, why: str, now_ns: int) -> None:
         """The loop raised an exception, or missed a deadline by 50 ms."""
+        why = shortened(why, DETAIL_LENGTH)
         self.tally.loop_faults += 1
         if self._state.supervisor.driving:  # a slow start of the machine, before anything drives, is no reason
             self.tally.note(Reason.LOOP_FAULT, why)
@@ -485,12 +492,14 @@ class Bridge:
             command=bridge.asked,
             motion=bridge.odometry.motion,
             phase=phase.value,
-            emergency=None if state.emergency is None else state.emergency.words,
-            stopping=None if stop is None else stop.words,
+            emergency=None if state.emergency is None else shortened(state.emergency.words),
+            stopping=None if stop is None else shortened(stop.words),
             reasons=tuple(sorted(reason.slug for reason in tally.active)),
-            reason_counts=MappingProxyType(dict(tally.counts)),
-            reason_details=MappingProxyType(dict(tally.details)),
-            why_not_driving=why_not_driving(config, state, vehicle, circumstances, now_ns),
+            reason_counts=dict(tally.counts),
+            reason_details=dict(tally.details),
+            why_not_driving=tuple(
+                map(shortened, why_not_driving(config, state, vehicle, circumstances, now_ns)[:WHYS_KEPT])
+            ),
             standing=standing,
             confirmed=tuple(role for role in supervisor.ROLES if role in state.confirmed),
             vcu_lost=supervisor.vcu_lost(config, state, now_ns),
@@ -504,10 +513,10 @@ class Bridge:
             loop_faults=tally.loop_faults,
             response_ns=tally.response_ns,
             response_max_ns=tally.response_max_ns,
-            rx_counts=MappingProxyType(dict(tally.rx)),
-            problem_counts=MappingProxyType(dict(tally.problems)),
-            ages_ns=MappingProxyType({name: _age_ns(getattr(vehicle, name), now_ns) for name in _AGES}),
-            unknown=self._codec.unknown,
+            rx_counts=dict(tally.rx),
+            problem_counts=dict(tally.problems),
+            ages_ns={name: _age_ns(getattr(vehicle, name), now_ns) for name in _AGES},
+            unknown=self._unknown,
         )
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from fsai_vcu.interface.values import Value
+from fsai_vcu.interface.values import Detail, Value, Whole
 
 
-class VehicleCommand(Value, frozen=True):
+class VehicleCommand(Value, frozen=True, tag=True):
     """A request in SI units and fractions. The gate decides what of it reaches the wire.
 
     `t_sensor_ns` is the monotonic stamp of the oldest sensor data behind the command, `run_id` the run for which it
@@ -15,18 +15,18 @@ class VehicleCommand(Value, frozen=True):
     positive to the left; throttle and brake are fractions 0…1 of the most that the limits allow.
     """
 
-    t_sensor_ns: int
-    run_id: int
+    t_sensor_ns: Whole
+    run_id: Whole
     steering_rad: float = 0.0
     throttle: float = 0.0
     brake: float = 0.0
     speed_limit_mps: float = 0.0
     mission_finished: bool = False  # the mission is over: stop, then FINISHED
     estop_request: bool = False  # the mission ends with an emergency brake, or the controller gives up
-    laps: int = 0
-    cones_count_actual: int = 0
-    cones_count_all: int = 0
-    note: str = ""  # in words what keeps the controller from driving: no path, an input that is late; else empty
+    laps: Whole = 0
+    cones_count_actual: Whole = 0
+    cones_count_all: Whole = 0
+    note: Detail = ""  # in words what keeps the controller from driving: no path, an input that is late; else empty
 
     def problems(self, steer_limit_rad: float) -> tuple[str, ...]:
         """Why this command must be refused whole; empty when it is in order."""

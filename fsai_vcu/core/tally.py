@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from fsai_vcu.core.report import IDS_KEPT, PROBLEMS_KEPT
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Decision
 from fsai_vcu.interface.specification import READY_WAIT_NS
 from fsai_vcu.interface.units import S
+from fsai_vcu.interface.values import DETAIL_LENGTH, shortened
 
 _OTHER_REVISION_FROM = 10  # frames: interface specification v4.0 counts a loss in tens as well
-_OTHER_REVISION_PAUSE_NS = 1 * S  # after which they count anew
-_PROBLEMS_KEPT = 100  # distinct texts: a fuzzed bus must not fill the memory
+_OTHER_REVISION_PAUSE_NS = 1 * S  # after which they count again from 0
 _OTHER_PROBLEMS = "other problems"
 
 
@@ -37,15 +38,20 @@ class Tally:
     response_ns: int | None = None
     response_max_ns: int | None = None
 
+    def received(self, can_id: int) -> None:
+        """A data frame of a short identifier."""
+        if can_id in self.rx or len(self.rx) < IDS_KEPT:
+            self.rx[can_id] += 1
+
     def note(self, reason: Reason, detail: str = "") -> None:
         """Something that happened once."""
         self.counts[reason.slug] += 1
-        self.details[reason.slug] = detail
+        self.details[reason.slug] = shortened(detail, DETAIL_LENGTH)
 
     def activate(self, decision: Decision, reasons: frozenset[Reason]) -> None:
         """The reasons active in this cycle; each is counted when it comes up, not for as long as it lasts."""
         for reason, detail in decision.details:
-            self.details[reason.slug] = detail
+            self.details[reason.slug] = shortened(detail, DETAIL_LENGTH)
         if reasons != self.active:
             for reason in reasons - self.active:
                 self.counts[reason.slug] += 1
@@ -53,7 +59,8 @@ class Tally:
 
     def problem(self, problem: str) -> None:
         """A received frame, or a call, that is not in order."""
-        if problem not in self.problems and len(self.problems) >= _PROBLEMS_KEPT:
+        problem = shortened(problem, DETAIL_LENGTH)
+        if problem not in self.problems and len(self.problems) >= PROBLEMS_KEPT - 1:
             problem = _OTHER_PROBLEMS
         self.problems[problem] += 1
 

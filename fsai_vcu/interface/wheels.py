@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fsai_vcu.interface.values import Value
+from fsai_vcu.interface.values import Value, Word
 
 WHEELS = ("fl", "fr", "rl", "rr")
 
@@ -15,10 +15,10 @@ class WheelMapping(Value, frozen=True):
     `WheelMapping(fl="fr", fr="fl")` says: the front left wheel is found in FR_WHEEL_SPEED and FR_PULSE_COUNT.
     """
 
-    fl: str = "fl"
-    fr: str = "fr"
-    rl: str = "rl"
-    rr: str = "rr"
+    fl: Word = "fl"
+    fr: Word = "fr"
+    rl: Word = "rl"
+    rr: Word = "rr"
 
     def __post_init__(self) -> None:
         if sorted((self.fl, self.fr, self.rl, self.rr)) != sorted(WHEELS):

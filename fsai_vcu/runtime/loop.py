@@ -19,9 +19,20 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.values import shortened
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
-from fsai_vcu.runtime.link import Alive, Answer, Ask, Ended, LinkEnd, LoopReport, LoopSettings, ResetConfirmed
+from fsai_vcu.runtime.link import (
+    Alive,
+    Answer,
+    Ask,
+    Ended,
+    LinkEnd,
+    LoopReport,
+    LoopSettings,
+    Message,
+    ResetConfirmed,
+)
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
@@ -72,7 +83,7 @@ class BridgeLoop:
         """
         try:
             if self._settings.real_time:
-                self._refused = go_real_time()
+                self._refused = tuple(map(shortened, go_real_time()))
                 for sentence in self._refused:
                     logger.warning("%s", sentence)
             # Collections happen right after a send, when there is time, and never by surprise.
@@ -87,7 +98,7 @@ class BridgeLoop:
             self._send_report(time.monotonic_ns(), at_once=True)
         except Exception as error:
             # The decision is the bridge's: it asks for an emergency stop if one can still be sent, else silence.
-            why = f"{type(error).__name__}: {error}"
+            why = shortened(f"{type(error).__name__}: {error}")
             self._last_words(why)
             logger.exception("the CAN loop failed; the car's own time-out stops it")
             self._link.send(Ended(why))
@@ -126,7 +137,7 @@ class BridgeLoop:
         if most_s > 0.0:
             select.select(self._inputs, [], [], min(most_s, self._longest_wait_s))
 
-    def _read_edge(self) -> list[object] | None:
+    def _read_edge(self) -> list[Message] | None:
         """What the edge has sent; None once it is gone."""
         if self._link.closed:
             return None
@@ -135,7 +146,7 @@ class BridgeLoop:
             self._wait_for(-1 if self._bus is None else self._bus.fileno())  # its end would wake every turn
         return messages
 
-    def _update(self, messages: list[object] | None) -> None:
+    def _update(self, messages: list[Message] | None) -> None:
         """What the edge has sent goes into the bridge."""
         now_ns = time.monotonic_ns()  # not before they were read: they would be of the future
         if messages is None:
@@ -157,7 +168,7 @@ class BridgeLoop:
                 case Ask():
                     self._answer(message, time.monotonic_ns())  # what came before it may have taken its time
                 case _:
-                    logger.error("unknown message of the edge: %r", message)
+                    logger.error("%s is no message to the CAN loop", type(message).__name__)
         if command is not None:
             self._bridge.on_command(command, now_ns)
 
@@ -166,16 +177,19 @@ class BridgeLoop:
         if now_ns >= ask.until_ns and not ask.better_late:
             self._link.send(Answer(ask.number, False, "the CAN loop was late: nothing was done"))
             return
-        match ask.what:
-            case "set_mode":
-                accepted, message = self._bridge.set_mode(ask.argument, now_ns)
-            case "emergency_brake":
-                accepted, message = self._bridge.emergency_brake(ask.argument, now_ns)
-            case "reset":
+        match ask:
+            case Ask(what="set_mode", argument=str() as mode):
+                accepted, message = self._bridge.set_mode(mode, now_ns)
+            case Ask(what="emergency_brake", argument=str() as why):
+                accepted, message = self._bridge.emergency_brake(why, now_ns)
+            case Ask(what="reset"):
                 accepted, message = self._bridge.reset(now_ns)
             case _:
-                accepted, message = False, f"unknown request '{ask.what}'"
-        self._link.send(Answer(ask.number, accepted, message))
+                accepted, message = (
+                    False,
+                    f"{ask.what} is no request to a CAN loop that runs, or not with that argument",
+                )
+        self._link.send(Answer(ask.number, accepted, shortened(message)))
 
     def _edge_is_gone(self, now_ns: int) -> None:
         """Its commands get old, and the table of reactions stops the car. When that is over there is nothing to do."""
@@ -231,7 +245,9 @@ class BridgeLoop:
         if at_once or now_ns - self._report_ns >= self._settings.report_period_ns:
             self._report_ns = now_ns
             report = self._bridge.report(now_ns)
-            self._link.send(LoopReport(report, self._reopened, self._deadline_misses, self._refused))
+            self._link.send(
+                LoopReport(report, self._reopened, self._deadline_misses, self._refused, self._link.trouble)
+            )
 
     def _feed_watchdog(self, now_ns: int) -> None:
         period_ns = self._notifier.watchdog_period_ns
@@ -252,8 +268,7 @@ class BridgeLoop:
         return bus
 
     def _wait_for(self, bus: int = -1) -> None:
-        edge = -1 if self._link.closed else self._link.fileno()
-        self._inputs = [descriptor for descriptor in (bus, edge) if descriptor >= 0]
+        self._inputs = [descriptor for descriptor in (bus, *self._link.descriptors) if descriptor >= 0]
 
     def _close_bus(self) -> None:
         bus, self._bus = self._bus, None

@@ -9,7 +9,6 @@ import contextlib
 import logging
 import os
 import select
-import socket
 import subprocess
 import sys
 import time
@@ -19,14 +18,18 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.interface.values import DETAIL_LENGTH, shortened
 from fsai_vcu.runtime.link import (
     Alive,
     Answer,
     Ask,
     Ended,
+    Lanes,
     LinkEnd,
+    LogLine,
     LoopReport,
     LoopSettings,
+    Request,
     ResetConfirmed,
     link_pair,
 )
@@ -39,6 +42,7 @@ _NOT_READ_NS = 500_000_000  # an edge that did not read for so long finds a full
 
 _NOT_RUNNING = "the CAN loop does not run: nothing is sent"
 NO_ANSWER = "the CAN loop does not answer"
+NOT_DECODED = "messages not understood"
 
 
 class LoopError(Exception):
@@ -48,7 +52,7 @@ class LoopError(Exception):
 class LoopHandle:
     """The loop at the far end of a link. For one thread."""
 
-    def __init__(self, end: socket.socket, process: subprocess.Popen[bytes] | None = None) -> None:
+    def __init__(self, end: Lanes, process: subprocess.Popen[bytes] | None = None) -> None:
         """process: the one that has the other end; `start_loop_process` makes both."""
         self._link = LinkEnd(end)
         self._process = process
@@ -108,7 +112,7 @@ class LoopHandle:
                 self._process.kill()
                 self._process.wait()
 
-    def _settle(self, what: str, argument: object, does_not: str) -> None:
+    def _settle(self, what: Request, argument: LoopSettings | int, does_not: str) -> None:
         answer = self._answer_to(what, argument, _START_TIMEOUT_S)
         if answer is None:
             ended = self._link.closed
@@ -121,17 +125,22 @@ class LoopHandle:
 
     # ------------------------------------------------------------ what goes in
 
-    def submit_command(self, command: VehicleCommand) -> None:
-        """The newest command; the loop takes it in its next turn."""
-        self._link.send(command)
+    def submit_command(self, command: VehicleCommand) -> str:
+        """The newest command; the loop takes it in its next turn. Why it was refused; empty where it was not."""
+        note = shortened(command.note, DETAIL_LENGTH)
+        self._link.send(command if note == command.note else replace(command, note=note))
+        return self._link.refusal
 
     def alive(self) -> None:
         """To be called once a second: where nobody does, systemd's watchdog starts edge and loop anew."""
         self._link.send(Alive())
 
-    def confirm_reset(self, role: str, run_id: int) -> None:
-        """`role` ('planner' or 'controller') has forgotten the previous run and is ready for `run_id`."""
-        self._link.send(ResetConfirmed(role, run_id))
+    def confirm_reset(self, role: str, run_id: int) -> str:
+        """`role` ('planner' or 'controller') has forgotten the previous run and is ready for `run_id`.
+
+        Why it did not get to the loop; empty where it did.
+        """
+        return "" if self._link.send(ResetConfirmed(role, run_id)) else self._link.refusal or NO_ANSWER
 
     def set_mode(self, mode: str) -> tuple[bool, str]:
         return self._ask("set_mode", mode)
@@ -142,7 +151,7 @@ class LoopHandle:
     def reset(self) -> tuple[bool, str]:
         return self._ask("reset", None)
 
-    def _ask(self, what: str, argument: object, *, better_late: bool = False) -> tuple[bool, str]:
+    def _ask(self, what: Request, argument: str | None, *, better_late: bool = False) -> tuple[bool, str]:
         if not self.running:
             return False, _NOT_RUNNING
         answer = self._answer_to(what, argument, REQUEST_TIMEOUT_S, better_late=better_late)
@@ -150,13 +159,19 @@ class LoopHandle:
             return False, NO_ANSWER if self._active else _NOT_RUNNING
         return answer.accepted, answer.message
 
-    def _answer_to(self, what: str, argument: object, timeout_s: float, *, better_late: bool = True) -> Answer | None:
-        """The answer; None where none comes in time. One that comes later is for nobody."""
+    def _answer_to(
+        self, what: Request, argument: LoopSettings | int | str | None, timeout_s: float, *, better_late: bool = True
+    ) -> Answer | None:
+        """The answer; None where none comes in time. One that comes later is for nobody.
+
+        A request that cannot be sent is refused at once; so is one for which a loop that does not read has no room.
+        """
         self._number += 1
         self._awaited, self._answer = self._number, None
         active = self._active
         until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
-        self._link.send(Ask(self._number, what, argument, until_ns, better_late))
+        if not self._link.send(Ask(self._number, what, argument, until_ns, better_late)):
+            return Answer(self._number, False, self._link.refusal) if self._link.refusal else None
         self._await(lambda: self._answer is not None or self._active is not active, timeout_s)
         self._awaited = None
         return self._answer
@@ -193,6 +208,18 @@ class LoopHandle:
         assert self._newest is not None, "asked for before the loop was active"
         return self._newest
 
+    def link_trouble(self) -> dict[str, object]:
+        """What went wrong on the link, for people: counts by the end that has them, and the newest words."""
+        values: dict[str, object] = {}
+        ends = ("node", self._link.trouble), ("loop", self.loop_report().link)
+        for end, trouble in ends:
+            values[f"{end}: messages without room"] = trouble.dropped
+            values[f"{end}: messages refused"] = trouble.refused
+            values[f"{end}: {NOT_DECODED}"] = trouble.undecoded
+            if trouble.words:
+                values[f"{end}: newest trouble"] = trouble.words
+        return values
+
     def _take(self) -> None:
         now_ns = time.monotonic_ns()
         if now_ns - self._read_ns >= _NOT_READ_NS:
@@ -204,8 +231,8 @@ class LoopHandle:
                     self._newest = message
                 case Answer() if message.number == self._awaited:
                     self._answer = message
-                case logging.LogRecord():
-                    logging.getLogger(message.name).handle(message)
+                case LogLine():
+                    logging.getLogger(message.logger).log(message.level, "%s", message.text)
                 case Ended():
                     self.failure, self._active = message.failure, False
         if self._link.closed and self._active:
@@ -229,18 +256,19 @@ class LoopHandle:
             left_s = until - time.monotonic()
             if condition() or self._link.closed or left_s <= 0.0:
                 return
-            select.select([self._link], [], [], left_s)
+            select.select(self._link.descriptors, [], [], left_s)
 
 
 def start_loop_process(bus: str) -> LoopHandle:
     """Start the loop's process. `bus` is for lists of processes; the settings name it for the loop."""
     ours, theirs = link_pair()
     environ = dict(os.environ, WATCHDOG_PID="")  # systemd named the edge; the watchdog is the loop's to feed
-    with theirs:
+    descriptors = [lane.fileno() for lane in theirs]
+    with theirs.ordinary, theirs.urgent:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "fsai_vcu.runtime.loop_process", str(theirs.fileno()), bus],
+            [sys.executable, "-P", "-m", "fsai_vcu.runtime.loop_process", ",".join(map(str, descriptors)), bus],
             stdin=subprocess.DEVNULL,
-            pass_fds=[theirs.fileno()],
+            pass_fds=descriptors,
             env=environ,
             start_new_session=True,  # a Ctrl-C at the terminal is for the edge
         )

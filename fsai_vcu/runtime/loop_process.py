@@ -1,4 +1,4 @@
-"""The process of the CAN loop: `python -m fsai_vcu.runtime.loop_process DESCRIPTOR BUS`, started by its edge.
+"""The process of the CAN loop: `python -m fsai_vcu.runtime.loop_process DESCRIPTORS BUS`, started by its edge.
 
 It imports neither ROS nor its middleware. The edge hands it one end of a link and the settings; it reads the database,
 and runs the loop whenever it is asked to activate, until it is asked to deactivate. It ends with the link: when its
@@ -17,16 +17,12 @@ import time
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.database import DatabaseError
 from fsai_vcu.interface.revisions import REVISIONS
-from fsai_vcu.runtime.bus import BusError
-from fsai_vcu.runtime.link import Answer, Ask, LinkEnd, LinkHandler, LoopSettings
-from fsai_vcu.runtime.lock import AlreadyRunning
+from fsai_vcu.interface.values import shortened
+from fsai_vcu.runtime.link import Answer, Ask, Lanes, LinkEnd, LinkHandler, LoopSettings
 from fsai_vcu.runtime.loop import BridgeLoop
 
 logger = logging.getLogger("fsai_vcu.runtime.loop_process")  # started as a program it has another name
-
-_FLUSH_AGAIN_S = 0.1
 
 
 def serve(link: LinkEnd) -> None:
@@ -34,42 +30,41 @@ def serve(link: LinkEnd) -> None:
     settings: LoopSettings | None = None
     codec: Codec | None = None
     while not link.closed:
-        # What found no room on the link is tried again: the reason of an end, above all.
-        select.select([link], [], [], None if link.flush() else _FLUSH_AGAIN_S)
+        select.select(link.descriptors, [], [])
         for message in link.receive():
             match message:
                 case Ask(what="configure", argument=LoopSettings() as settings):
                     try:
                         files = settings.dbc_files or None
                         codec = Codec(REVISIONS[settings.revision], files, settings.wheel_mapping)
-                    except (DatabaseError, ValueError) as error:
-                        link.send(Answer(message.number, False, str(error)))
+                    except Exception as error:  # a database that is none, or a revision that nobody knows
+                        link.send(Answer(message.number, False, shortened(str(error))))
                     else:
                         if codec.unknown:
                             logger.warning("%s", codec.unknown)
                         link.send(Answer(message.number, True))
-                case Ask(what="activate") if settings is not None and codec is not None:
-                    _run(link, settings, codec, message)
+                case Ask(what="activate", argument=int() as first_run_id) if settings is not None and codec is not None:
+                    _run(link, settings, codec, message.number, first_run_id)
                 case _:
                     pass  # what was meant for a run that has ended
 
 
-def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, activate: Ask) -> None:
-    bridge = Bridge(
-        codec,
-        REVISIONS[settings.revision],
-        CARS[settings.car],
-        settings.config,
-        settings.limits,
-        first_run_id=activate.argument,
-        now_ns=time.monotonic_ns(),
-    )
+def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, number: int, first_run_id: int) -> None:
     try:
+        bridge = Bridge(
+            codec,
+            REVISIONS[settings.revision],
+            CARS[settings.car],
+            settings.config,
+            settings.limits,
+            first_run_id=first_run_id,
+            now_ns=time.monotonic_ns(),
+        )
         loop = BridgeLoop(bridge, codec, settings, link)
-    except (BusError, AlreadyRunning) as error:
-        link.send(Answer(activate.number, False, str(error)))
+    except Exception as error:  # the bus or its lock is not to be had
+        link.send(Answer(number, False, shortened(str(error))))
         return
-    loop.run(activate.number)
+    loop.run(number)
 
 
 def main() -> int:
@@ -77,7 +72,8 @@ def main() -> int:
     # without it the table of reactions does.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    link = LinkEnd(socket.socket(fileno=int(sys.argv[1])))
+    ordinary, urgent = (socket.socket(fileno=int(descriptor)) for descriptor in sys.argv[1].split(","))
+    link = LinkEnd(Lanes(ordinary, urgent))
     source = logging.getLogger("fsai_vcu")
     source.setLevel(logging.INFO)
     source.addHandler(LinkHandler(link))

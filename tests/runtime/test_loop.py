@@ -482,14 +482,14 @@ def test_a_gone_edge_leaves_a_driving_car_to_the_reactions(spec: str, monkeypatc
 
 def test_an_edge_that_does_not_read_keeps_the_loop_from_nothing(loop: ThreadedLoop, spec: str) -> None:
     """Nor is lost why the loop ended meanwhile: an edge that hung reads everything in the end."""
-    loop.far_end._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)  # some reports
+    loop.far_end._lanes.ordinary.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)  # some reports
     with open_bus(spec) as car:
         for bit in (True, False) * 20:
             car.send(CODEC.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)))
             while status_received(car).handshake is not bit:
                 pass
-        assert eventually(lambda: loop.far_end.dropped > 0)
-    assert not loop.far_end.send(Ended("RuntimeError: a bug"))
+        assert eventually(lambda: loop.far_end.trouble.dropped > 0)
+    assert loop.far_end.send(Ended("RuntimeError: a bug"))
     assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
     assert eventually(lambda: not loop.running)
     assert loop.failure == "RuntimeError: a bug"

@@ -92,8 +92,8 @@ def test_it_is_activated_again_after_its_end(loop: LoopHandle, spec: str) -> Non
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
-        ({"dbc_files": (Path("/absent.dbc"),)}, "absent.dbc"),
-        ({"dbc_files": (Path(__file__),)}, "test_loop_process.py"),
+        ({"dbc_files": ("/absent.dbc",)}, "absent.dbc"),
+        ({"dbc_files": (__file__,)}, "test_loop_process.py"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(

@@ -37,7 +37,7 @@ from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
-from fsai_vcu.interface.values import Value
+from fsai_vcu.interface.values import WORD_LENGTH, Value, shortened
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
 """Where a mode may be chosen and the AMI is followed."""
@@ -457,7 +457,7 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
             "mode is manual" + (": the car is being stopped" if state.driving else ""),
         )
     if mode != Mode.AUTONOMOUS.value:
-        return state, False, f"unknown mode {mode!r}: the modes are {', '.join(MODES)}"
+        return state, False, f"unknown mode {shortened(mode, WORD_LENGTH)!r}: the modes are {', '.join(MODES)}"
     if config.listen_only:
         return state, False, "autonomous refused: this process only listens (listen_only)"
     latched = "" if state.emergency is None else f", but the emergency brake is latched because {state.emergency.words}"

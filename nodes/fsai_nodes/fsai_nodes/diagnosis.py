@@ -6,6 +6,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.runtime.loop_handle import NOT_DECODED
 
 
 def _status(name: str, level: bytes, message: str, values: dict[str, object]) -> DiagnosticStatus:
@@ -116,6 +117,9 @@ def _loop(report: BridgeReport, more: dict[str, object]) -> DiagnosticStatus:
         "loop faults": report.loop_faults,
         **more,
     }
+    if any(count for key, count in more.items() if key.endswith(NOT_DECODED)):
+        words = "messages between the node and its CAN loop were not understood"
+        return _status("loop", DiagnosticStatus.WARN, words, values)
     if report.loop_faults:
         return _status("loop", DiagnosticStatus.WARN, "deadlines were missed by 50 ms or more", values)
     return _status("loop", DiagnosticStatus.OK, "in time", values)

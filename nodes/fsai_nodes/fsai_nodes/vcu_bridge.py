@@ -15,7 +15,6 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial, wraps
-from pathlib import Path as FilePath
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -329,7 +328,7 @@ class VcuBridge(LifecycleNode):
             bus=text("can_interface"),
             revision=text("revision"),
             car=text("revision") if car == SAME_AS_REVISION else car,
-            dbc_files=tuple(FilePath(name.strip()) for name in text("dbc_files").split(",") if name.strip()),
+            dbc_files=tuple(name.strip() for name in text("dbc_files").split(",") if name.strip()),
             wheel_mapping=wheel_mapping,
             config=config,
             limits=limits,
@@ -492,6 +491,7 @@ class VcuBridge(LifecycleNode):
         more: dict[str, object] = {"bus reopened": newest.reopened, "deadline misses": newest.deadline_misses}
         for index, sentence in enumerate(newest.scheduling_refused, 1):
             more[f"not real-time {index}"] = sentence
+        more |= loop.link_trouble()
         stamp = self._clocks.stamp_of(self._clocks.now_ns())
         report = with_refused(self._report(loop), self._refused_commands, self._refused_command)
         self._diagnostics.publish(diagnostics_of(report, stamp, more))
