@@ -656,8 +656,8 @@ def _ages(
     if state.doubted:
         found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, inputs.status_doubt))
     elif state.known_again_ns is not None and now_ns - state.known_again_ns < config.as_state_known_ns:
-        known_ms = (now_ns - state.known_again_ns) / 1e6
-        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, f"known again for {known_ms:.0f} ms"))
+        words = f"known again for {(now_ns - state.known_again_ns) / 1e6:.0f} ms"
+        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, words))
     if running and (lack := _unprepared(config, state)) is not None:
         found.append((lack[0], _AT_ONCE_NS, lack[1]))
     if not state.go:

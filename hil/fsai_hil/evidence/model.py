@@ -69,7 +69,7 @@ from fsai_vcu.interface.values import Value
 
 LEFT_OUT: Final = (
     "whether the plausibility checks find what they should: the model of the steering, each wheel's factor in a curve, "
-    "what explains slip and for how long (tests of their own, the campaign's sensors and actuators)",
+    "what explains slip and for how long (tests of their own; what is far off, the campaign)",
     "what pulse counts say of a wheel speed (the fuzz, the campaign)",
     "what the codec reads of a frame's bytes (tests of its own, the fuzz, the campaign)",
     "odometry, and words for people",
