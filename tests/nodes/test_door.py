@@ -17,7 +17,7 @@ from geometry_msgs.msg import Point, PoseStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.action import GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from ros_attacks import Attack, attacks, class_of, together
@@ -29,7 +29,7 @@ from fsai_nodes import qos
 from fsai_nodes.complaints import complaints_of
 from fsai_nodes.cone_detector import ConeDetector
 from fsai_nodes.declarations import DECLARED, declared, key_of
-from fsai_nodes.door import Door
+from fsai_nodes.door import MOST_GOALS, Door
 from fsai_nodes.fields import FREE, UNREAD, Number, Parts, Several, Text, Whole, printable
 from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.sensor_simulator import SensorSimulator
@@ -459,3 +459,17 @@ def test_a_second_publisher_of_commands_is_refused_and_named() -> None:
 
 def test_what_std_bool_says_is_taken_as_it_is() -> None:
     assert declared(Bool).misfit(Bool(data=True), "") == ""
+
+
+def test_a_goal_whose_callback_raises_is_rejected(rig: RosRig, bus: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
+
+    def asks(*_: object) -> tuple[bool, str]:
+        raise RuntimeError("of the test")
+
+    monkeypatch.setattr(bridge, "_ask", asks)
+    assert bridge._missions._cancel_callback(None) == CancelResponse.REJECT
+    assert bridge._missions._goal_callback(RunMission.Goal()) == GoalResponse.ACCEPT
+    bridge._goals.update({bytes([number]): None for number in range(MOST_GOALS)})
+    assert bridge._missions._goal_callback(RunMission.Goal()) == GoalResponse.REJECT
+    bridge._goals.clear()

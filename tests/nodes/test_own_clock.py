@@ -15,6 +15,7 @@ from rosgraph_msgs.msg import Clock
 from fsai_nodes import qos
 from fsai_nodes.clocks import Clocks, Input
 from fsai_nodes.path_planner import PathPlanner
+from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.units import MS, S
 
@@ -93,3 +94,19 @@ def test_what_is_refused_is_not_called_silent(rig: RosRig) -> None:
     refused_ns = topic._refused[1]
     assert topic.silence(refused_ns) == "/vehicle_cmd of x refused: throttle is nan"
     assert topic.silence(refused_ns + S) == "/vehicle_cmd, which nobody publishes: nothing received yet"
+
+
+def test_a_bridge_without_a_clock_does_not_accuse_the_controller(rig: RosRig, bus: str) -> None:
+    log = rig.log()
+    bridge = rig.start(VcuBridge, can_interface=bus, real_time=False, use_sim_time=True)
+    commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+
+    def refused() -> bool:
+        command = VehicleCommand()
+        command.header.stamp = rig.stamp()
+        commands.publish(command)
+        rig.turns(2)
+        return bool(logged(log, STILL, "/vehicle_cmd is refused"))
+
+    rig.spin_until(refused, "the bridge's own clock")
+    assert not bridge._loop.report().reason_counts.get("command_refused")

@@ -72,6 +72,14 @@ class Clocks:
             "/clock says so"
         )
 
+    def refused_by_own(self, topic: str, now_ns: int) -> str:
+        """The sentence by which `topic` (whole) is refused where this node's own clock is wrong; empty where not."""
+        words = self.wrong(now_ns)
+        if words:
+            words += f"; {topic} is refused, for its stamp says nothing"
+            complaints_of(self._node).say("clock", words, "error")
+        return words
+
     def watch(self) -> None:
         """From now on the node itself says it when its clock stands still."""
         self.every(_STANDS_NS / 1e9, self._watch)
@@ -94,8 +102,7 @@ class Clocks:
         if t_ns <= now_ns:
             return t_ns
         name = self._node.resolve_topic_name(topic)
-        if words := self.wrong(now_ns):
-            complaints_of(self._node).say("clock", f"{words}; {name} is refused, for its stamp says nothing", "error")
+        if self.refused_by_own(name, now_ns):
             return None
         words = (
             f"{name} refused: its stamp is {(t_ns - now_ns) / 1e6:.0f} ms ahead of this computer's clock "

@@ -25,6 +25,7 @@ from fsai_nodes.complaints import complaints_of, silent_complaints_of
 from fsai_nodes.declarations import BYTES, DECLARED, MOST_BYTES, declared, key_of
 from fsai_nodes.fields import Parts, Several, printable
 from fsai_nodes.middleware import Taker, gid_of, taker
+from fsai_nodes.parameters import NodeError
 from fsai_nodes.qos import TOPICS
 from fsai_vcu.interface.units import S
 
@@ -169,7 +170,7 @@ class Door:
             if words:
                 self.refuse(whole, "", words)
                 return GoalResponse.REJECT
-            return goal(request)
+            return self._answer(whole, goal, request, GoalResponse.REJECT)
 
         return ActionServer(
             self._node,
@@ -178,7 +179,7 @@ class Door:
             execute_callback=execute,
             goal_callback=refused_or,
             handle_accepted_callback=accepted,
-            cancel_callback=cancel,
+            cancel_callback=lambda handle: self._answer(whole, cancel, handle, CancelResponse.REJECT),
             result_timeout=KEPT_RESULTS_S,
         )
 
@@ -187,6 +188,17 @@ class Door:
         words = _sentence(what, sender, why)
         self.complaints.say(what, words)
         return words
+
+    def _answer(self, what: str, ask: Callable[[Any], Any], argument: Any, otherwise: Any) -> Any:
+        """What `ask` says; `otherwise` where it raises, so that whoever asks has an answer."""
+        try:
+            return ask(argument)
+        except NodeError:
+            raise
+        except Exception as error:
+            words = f"{what} raised {type(error).__name__}: {printable(str(error), 300)}"
+            self.complaints.say(what, words, "error")
+            return otherwise
 
     # ------------------------------------------------------------ the middleware
 

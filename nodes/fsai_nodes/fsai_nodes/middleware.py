@@ -90,6 +90,7 @@ class Taker:
         self._free = rcutils.rcutils_uint8_array_fini
         self._free.argtypes = [ctypes.POINTER(_Bytes)]
         self._init = rcutils.rcutils_uint8_array_init
+        self._reset_error = rcutils.rcutils_reset_error
         self._allocator = rcutils.rcutils_get_default_allocator()
         self._zeroed = rcutils.rcutils_get_zero_initialized_uint8_array
         self._info = (ctypes.c_uint64 * 32)()  # twice what any version fills
@@ -103,6 +104,7 @@ class Taker:
             with subscription.handle:
                 status = self._rcl.rcl_take_serialized_message(subscription.handle.pointer, taken, self._info, None)
             if status:
+                self._reset_error()
                 return None
             return ctypes.string_at(taken.buffer, taken.length), self._gid()
         finally:

@@ -348,10 +348,14 @@ class VcuBridge(LifecycleNode):
             return
         # A stamp of the future is handed on as it is: the loop refuses the command, and counts it.
         sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
+        if sensor_ns > now_ns and (words := self._clocks.refused_by_own(came.topic, now_ns)):
+            self._on_refused_command(words)
+            return
         self._sensor_ns = sensor_ns
         self._commands.received(now_ns, now_ns - sensor_ns)
         self._note = message.note
-        loop.submit_command(command_from_msg(message, sensor_ns))
+        if words := loop.submit_command(command_from_msg(message, sensor_ns)):
+            self._on_refused_command(self._door.refuse(came.topic, came.sender, words))
 
     def _is_the_runs(self, message: VehicleCommand, came: Message, now_ns: int) -> bool:
         """Whether the command is of the one publisher whose commands the run takes."""
@@ -385,7 +389,8 @@ class VcuBridge(LifecycleNode):
             run = self._last_run
             if run is not None and message.run_id == run.run_id:
                 self._owner.confirmed(message.run_id, came.gid)
-        self._loop.confirm_reset(message.role, message.run_id)
+        if words := self._loop.confirm_reset(message.role, message.run_id):
+            self._door.refuse(came.topic, came.sender, words)
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
         """`manual` or `autonomous` (`fsai-vcu mode`); refused with the reason. It says so if it was that already."""
