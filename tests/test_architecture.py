@@ -23,23 +23,26 @@ DIAGNOSTICS = "fsai_vcu.diagnostics"
 LEAN = "fsai_vcu.lean_can"
 LEAN_CANTOOLS = "fsai_vcu.lean_cantools"
 FILES = "fsai_vcu.files"
+PRINTABLE = "fsai_vcu.printable"
 ARROWS: dict[str, set[str]] = {
     "fsai_vcu": set(),
     LEAN: set(),
     LEAN_CANTOOLS: set(),
     FILES: set(),
+    PRINTABLE: set(),
     "fsai_vcu.interface": {LEAN_CANTOOLS, FILES},
     "fsai_vcu.core": {"fsai_vcu.interface"},
     "fsai_vcu.runtime": {"fsai_vcu.core", "fsai_vcu.interface", LEAN, FILES},
     DIAGNOSTICS: set(),
-    f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime", LEAN, FILES},
-    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", FILES},
+    f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime", LEAN, FILES, PRINTABLE},
+    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", FILES, PRINTABLE},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.verdict": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
     | {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
+    | {"fsai_vcu.interface", PRINTABLE},
     f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
@@ -47,13 +50,13 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.recorder": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "export", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime", FILES},
     f"{DIAGNOSTICS}.monitor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
-    | {"fsai_vcu.core", "fsai_vcu.interface"},
+    | {"fsai_vcu.core", "fsai_vcu.interface", PRINTABLE},
     f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics", "verdict")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report")}
     | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.stack": {"fsai_vcu.core"},
-    "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, DIAGNOSTICS},
+    "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE, DIAGNOSTICS},
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},
     "fsai_nodes.pitwall": {"fsai_nodes", "fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.monitor"},
     "fsai_nodes.recorder": {"fsai_nodes", "fsai_vcu.runtime", f"{DIAGNOSTICS}.export"},
@@ -69,7 +72,14 @@ ARROWS: dict[str, set[str]] = {
     "fsai_hil": set(),
     "fsai_hil.vcan": {"fsai_hil"},
     "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.log", f"{DIAGNOSTICS}.statistics"},
-    "fsai_hil.simulator": {"fsai_hil.rules", "fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES},
+    "fsai_hil.simulator": {
+        "fsai_hil.rules",
+        "fsai_vcu.core",
+        "fsai_vcu.interface",
+        "fsai_vcu.runtime",
+        FILES,
+        PRINTABLE,
+    },
     "fsai_hil.evidence": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_vcu"},
     "fsai_hil.rehearsal": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_hil.vcan", "fsai_vcu"},
     "fsai_hil.cli": {"fsai_hil", "fsai_vcu"},

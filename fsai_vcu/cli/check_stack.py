@@ -12,6 +12,7 @@ from typing import Any
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.services import operator_node
 from fsai_vcu.diagnostics.stack import TOPICS, Ends, StackWatch
+from fsai_vcu.printable import printable
 
 EXAMPLE = "fsai-vcu check-stack --seconds 20 && echo in order"
 ABOUT = "It only listens. Exit status: 0 nothing is wrong, 1 something is. Best while the car drives."
@@ -138,7 +139,11 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"seconds": args.seconds, "rates_hz": rates, "wrong": [asdict(each) for each in wrong]}))
     elif wrong:
-        print("\n".join(f"/{each.topic}: {each.wrong}\n    {each.to_do}" for each in wrong))
+        print(
+            "\n".join(
+                f"/{printable(each.topic)}: {printable(each.wrong)}\n    {printable(each.to_do)}" for each in wrong
+            )
+        )
     else:
         heard = ", ".join(f"/{topic} {rate:g} Hz" for topic, rate in rates.items() if TOPICS[topic].least_hz)
         print(f"nothing is wrong in {args.seconds:g} s: {heard}")

@@ -8,13 +8,15 @@ import gc
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
-from typing import NoReturn
+from typing import NoReturn, TextIO, cast
 
 from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
+from fsai_vcu.printable import PrintableStream, printable
 
 Verbs = dict[str, tuple[str, str]]
 """Verb -> (module, as `import_module` takes it within this package, and what it does in one line)."""
@@ -99,7 +101,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: other threads would only spin
     try:
         try:
-            return _run(arguments)
+            with printable_output():
+                return _run(arguments)
         finally:
             sys.stdout.flush()  # not at the end of the process, where nobody could say what went wrong
     except OSError as error:
@@ -112,6 +115,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         verb = " ".join(["fsai-vcu", *arguments[:1]])
         print(f"{verb}: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
+
+
+@contextmanager
+def printable_output() -> Iterator[None]:
+    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in streams)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
 
 
 _OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -143,7 +157,7 @@ def _run(arguments: list[str]) -> int:
     except UserError as error:
         if isinstance(error.__cause__, BrokenPipeError):  # of the output, whatever else the verb was about
             raise error.__cause__ from None
-        print(f"fsai-vcu {verb}: {error}", file=sys.stderr)
+        print(f"fsai-vcu {verb}: {printable(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, WrongUse) else 1
     except KeyboardInterrupt:
         print(f"fsai-vcu {verb}: interrupted", file=sys.stderr)

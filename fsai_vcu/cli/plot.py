@@ -17,6 +17,7 @@ from fsai_vcu.cli.sources import (
 )
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.printable import drawn
 
 EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
 ABOUT = """\
@@ -72,11 +73,13 @@ def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]
     figure, rows = pyplot.subplots(len(groups), figsize=(12, 1 + 3 * len(groups)), sharex=True, squeeze=False)
     for axes, (unit, group) in zip(rows[:, 0], groups.items(), strict=True):
         for name, series in group:
-            axes.plot((series.t_ns - record.begin_ns) / 1e9, series.values, drawstyle="steps-post", label=name, lw=1)
-        axes.set_ylabel(unit or "raw")
+            axes.plot(
+                (series.t_ns - record.begin_ns) / 1e9, series.values, drawstyle="steps-post", label=drawn(name), lw=1
+            )
+        axes.set_ylabel(drawn(unit or "raw"))
         axes.grid(alpha=0.3)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")  # beside, so that it hides nothing
-    rows[0, 0].set_title(title)
+    rows[0, 0].set_title(drawn(title))
     rows[-1, 0].set_xlabel("seconds since the log's first frame")
     figure.tight_layout()
     try:

@@ -29,6 +29,7 @@ from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.verdict import Judged
@@ -255,7 +256,7 @@ class Sources:
             self._rules = [split_source(each) for name in names for each in _unfolded(name)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
-        self.names = ["standard input" if name == "-" else name for name, _ in self._rules]
+        self.names = ["standard input" if name == "-" else printable(name) for name, _ in self._rules]
         self.name = ", ".join(self.names)
         kinds = {_is_log(name) for name, _ in self._rules}
         if len(kinds) > 1:

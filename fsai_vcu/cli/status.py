@@ -9,6 +9,7 @@ from typing import Any
 
 from fsai_vcu.cli.services import add_bridge_arguments as add_arguments
 from fsai_vcu.cli.services import vehicle_state
+from fsai_vcu.printable import printable
 
 __all__ = ["EXAMPLE", "add_arguments", "run"]
 
@@ -64,4 +65,4 @@ def _as_text(state: Any) -> str:
     if state.why_not_driving:
         lines.append("why not driving:")
         lines += [f"  - {condition}" for condition in state.why_not_driving]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))

@@ -6,6 +6,7 @@ plain (multiplexed, longer than eight bytes, …) are decoded by cantools.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -87,12 +89,40 @@ def databases_of(databases: Iterable[Database]) -> Databases:
     messages: dict[int, Message] = {}
     baudrate: int | None = None
     for database in databases:
+        _make_printable(database)
         for message in database.messages:
             messages.setdefault(message.frame_id | (EXTENDED_KEY if message.is_extended_frame else 0), message)
         attribute = database.dbc.attributes.get("Baudrate") if database.dbc is not None else None
         if baudrate is None and attribute is not None and isinstance(attribute.value, int) and attribute.value > 0:
             baudrate = attribute.value
     return Databases({key: _layout(message) for key, message in messages.items()}, messages, baudrate)
+
+
+def _make_printable(database: Database) -> None:
+    """Names, units and words that are shown somewhere become texts of characters that can be seen."""
+    from cantools.database.namedsignalvalue import NamedSignalValue
+
+    changed = False
+    for message in database.messages:
+        texts = [message.name, *message.senders]
+        for signal in message.signals:
+            words = {raw: str(word) for raw, word in (signal.choices or {}).items()}
+            texts += [signal.name, signal.unit or "", *words.values()]
+        if all(text.isprintable() for text in texts):
+            continue
+        changed = True
+        message.name = printable(message.name)
+        message._senders = [printable(sender) for sender in message.senders]
+        for signal in message.signals:
+            signal.name = printable(signal.name)
+            signal.unit = None if signal.unit is None else printable(signal.unit)
+            if signal.choices:
+                named = (
+                    (raw, NamedSignalValue(int(raw), printable(str(word)))) for raw, word in signal.choices.items()
+                )
+                signal.choices = OrderedDict(named)
+    if changed:
+        database.refresh()
 
 
 def _load(path: Path) -> tuple[Database, bool]:

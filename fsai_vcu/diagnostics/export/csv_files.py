@@ -12,6 +12,7 @@ import numpy as np
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
 from fsai_vcu.diagnostics.log.candump import time_text
 from fsai_vcu.diagnostics.log.characters import Part, Texts, lines_of, number_texts, texts_of
+from fsai_vcu.printable import cell
 
 _QUOTED: Final = ('"', ",", "\n", "\r")
 
@@ -27,7 +28,7 @@ def csv_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Call
             if table.name not in files:
                 files[table.name] = opened.enter_context(path_of(table).open("wb"))
                 names = ["time [s]", *(f"{c.name} [{c.unit}]" if c.unit else c.name for c in table.columns)]
-                files[table.name].write((",".join(map(_quoted, names)) + "\n").encode())
+                files[table.name].write((",".join(_quoted(cell(name)) for name in names) + "\n").encode())
             parts: list[Part] = [time_text(rows.t_ns)]
             for column, values in zip(table.columns, rows.values, strict=True):
                 parts += [b",", _texts(column, values, words=words)]
@@ -44,7 +45,8 @@ def _texts(column: Column, values: Values, *, words: bool) -> Texts:
         # Floats by their bits: -0.0 is not 0.0 for who reads the text.
         keys = numbers.view(np.int64) if numbers.dtype == np.float64 else numbers
         _, first, where = np.unique(keys, return_index=True, return_inverse=True)
-        texts = [_quoted(choices.get(value, repr(value))) for value in numbers[first].tolist()]
+        words_of = {value: _quoted(cell(word)) for value, word in choices.items()}
+        texts = [words_of.get(value) or repr(value) for value in numbers[first].tolist()]
         items, lengths = texts_of(texts).at(where)
     else:
         items, lengths = number_texts(numbers, lambda others: [*map(repr, others)])

@@ -37,6 +37,7 @@ from fsai_vcu.diagnostics.log.frames import (
     frames_of,
     joined,
 )
+from fsai_vcu.printable import printable
 
 _FRONT, _BACK = 16, 128  # bytes around a block: the columns of a line may end behind it
 Characters = npt.NDArray[np.uint8]
@@ -67,7 +68,7 @@ class _Shape(NamedTuple):
             found["before"] + (found["open"] or b""),
             len(found["time"] or b""),
             (found["close"] or b"") + found["between"],
-            found["channel"].decode("ascii", "replace"),
+            printable(found["channel"].decode("ascii", "replace")),
             len(found["id"]),
             found["behind"],
             {None: 0, b"R": RECEIVED, b"T": SENT}[found["way"]],

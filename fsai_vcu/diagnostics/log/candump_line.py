@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Final, NamedTuple
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.printable import printable
 
 MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
 MAX_STANDARD_ID: Final = 0x7FF
@@ -72,8 +73,7 @@ def too_long(line: bytes) -> str:
 
 def _beginning(line: bytes) -> str:
     shown = line[:60].decode("ascii", "backslashreplace")
-    shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
-    return f"'{shown}{'…' if len(line) > 60 else ''}'"
+    return f"'{printable(shown)}{'…' if len(line) > 60 else ''}'"
 
 
 def whole_line(line: bytes) -> bool:

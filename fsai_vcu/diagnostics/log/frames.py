@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fsai_vcu.interface.units import MS
+from fsai_vcu.printable import printable
 
 # Bits of `flags`.
 EXTENDED: Final = 0x01
@@ -31,6 +32,9 @@ _COLUMNS: Final = ("t_ns", "can_id", "flags", "length", "word", "channel")
 Ints = npt.NDArray[np.int64]
 Words = npt.NDArray[np.uint64]
 Mask = npt.NDArray[np.bool_]
+
+_MOST_CHANNELS: Final = 256  # that a log names; no car has a tenth of it
+_OTHERS: Final = "others"  # what is said of more
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +139,12 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
     """Columns from single frames. `channels` is the log's own growing list of names, to number them alike."""
     names = [] if channels is None else channels
     rows = list(records)
-    names += [name for name in dict.fromkeys(frame.channel for frame in rows) if name not in names]
+    spelt = {channel: printable(channel) for channel in dict.fromkeys(frame.channel for frame in rows)}
+    for channel, name in spelt.items():
+        if name not in names and len(names) >= _MOST_CHANNELS:
+            name = spelt[channel] = _OTHERS
+        if name not in names:
+            names.append(name)
     index = {name: number for number, name in enumerate(names)}
     count = len(rows)
     return Frames(
@@ -144,7 +153,7 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
         np.fromiter((frame.flags for frame in rows), np.uint8, count),
         np.fromiter((frame.length for frame in rows), np.uint8, count),
         np.fromiter((int.from_bytes(frame.data[:CLASSIC_BYTES], "little") for frame in rows), np.uint64, count),
-        np.fromiter((index[frame.channel] for frame in rows), np.int32, count),
+        np.fromiter((index[spelt[frame.channel]] for frame in rows), np.int32, count),
         names,
         {row: frame.data for row, frame in enumerate(rows) if len(frame.data) > CLASSIC_BYTES},
     )

@@ -12,6 +12,7 @@ from fsai_vcu.diagnostics.monitor import snapshot
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import KMH_PER_MPS
+from fsai_vcu.printable import printable
 
 STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
 _LIGHT_STYLES: Final = {"yellow": "bold black on yellow", "blue": "bold white on blue"}
@@ -26,7 +27,7 @@ _MANY_REASONS: Final = 4
 def line(*parts: str | tuple[str, str], wrap: bool = False) -> Text:
     """Some text of several styles."""
     pairs = [(part, "") if isinstance(part, str) else part for part in parts]
-    shown = [(snapshot.printable(text), style) for text, style in pairs]
+    shown = [(printable(text), style) for text, style in pairs]
     return Text.assemble(*shown, no_wrap=not wrap, overflow="fold" if wrap else "crop")
 
 
@@ -133,7 +134,7 @@ def _why(picture: Picture, width: int, *, remedies: bool) -> list[Text]:
 
 
 def _wrapped(text: str, indent: str, style: str, width: int) -> Text:
-    text = snapshot.printable(text)
+    text = printable(text)
     return Text(textwrap.fill(text, max(20, width), initial_indent=indent, subsequent_indent="    "), style)
 
 

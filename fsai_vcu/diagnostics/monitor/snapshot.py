@@ -14,6 +14,7 @@ from typing import Any, Final
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.explain.starting import Obstacle
 from fsai_vcu.diagnostics.statistics.measure import Handshake, as_json
+from fsai_vcu.printable import printable
 
 NO_VALUE: Final = "-"
 LIGHTS: Final = {
@@ -171,11 +172,6 @@ def plain_line(picture: Picture, clock: str, signals: Sequence[History] = ()) ->
     if picture.why_not_driving:
         words.append("why not driving: " + "; ".join(one.words for one in picture.why_not_driving))
     return " | ".join(printable(word) for word in words if word)
-
-
-def printable(text: str) -> str:
-    """Control characters of foreign names never reach the terminal."""
-    return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def on_off(on: bool | None) -> str:

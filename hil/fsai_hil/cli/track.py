@@ -17,6 +17,7 @@ from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.printable import drawn
 
 STEP_M: Final = 0.25
 SHADES: Final = {
@@ -107,7 +108,7 @@ def _draw(track: Track, path: Path) -> None:
     for color, shade in SHADES.items():
         x, y = track.cones_xy_m[track.cone_colors == color].T
         plan.scatter(x, y, s=10.0 if color is not ConeColor.BIG_ORANGE else 30.0, color=shade)
-    plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=next(_facts(track)))
+    plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=drawn(next(_facts(track))))
     try:
         figure.savefig(path)
     finally:

@@ -20,6 +20,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.printable import drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,7 +79,7 @@ def picture(run: Run) -> Figure:
     plan.set_aspect("auto" if is_long else "equal")
     plan.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m")
     plan.set_ylabel("y, m (not to scale)" if is_long else "y, m")
-    figure.suptitle(textwrap.fill(_title(run.track, run.judge.verdict()), 110), fontsize=11)
+    figure.suptitle(textwrap.fill(drawn(_title(run.track, run.judge.verdict())), 110), fontsize=11)
 
     _draw_over_time(speed, steering, pedals, run)
     # One entry each, however often a state was entered

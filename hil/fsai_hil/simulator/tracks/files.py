@@ -124,7 +124,7 @@ def _yaml_rows(text: str, source: str) -> Iterator[Row]:
         try:
             root = loader.get_single_node()
             _check_plain(root, source)
-            found = {} if root is None else loader.construct_document(root)
+            found = None if root is None else loader.construct_document(root)
         finally:
             loader.dispose()
         if "track" in found:
