@@ -111,7 +111,7 @@ def test_a_mistake_that_the_car_bore_is_named(library: Path, fault: str, item: s
 
 
 def test_a_swapped_sign_of_steering_is_named(library: Path) -> None:
-    verdict = verdict_on(CNode(library), "static-a", seconds=25.0, change=negated_angle)
+    verdict = verdict_on(CNode(library), "static-a", seconds=28.0, change=negated_angle)
     assert "the steering turns the other way than asked: STEER_REQUEST" in said(verdict)
 
 
