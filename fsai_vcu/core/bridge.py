@@ -17,6 +17,8 @@ import math
 from types import MappingProxyType
 from typing import Any, cast
 
+from msgspec.structs import replace
+
 from fsai_vcu.core.bridge_state import BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import Run
@@ -43,7 +45,6 @@ from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.immutable import replace
 from fsai_vcu.interface.messages import (
     GPS_FIELD_OF,
     VEHICLE_FIELD_OF,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from msgspec import field
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.gate import GateState
@@ -10,12 +10,11 @@ from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.supervisor import Decision, SupervisorState
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief
 from fsai_vcu.core.vehicle.odometry import OdometryState
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeState(Immutable):
+class BridgeState(Value, frozen=True):
     """What decides what is sent next. Times are of the monotonic clock, None: never.
 
     What the bridge only counts, for its report, is in `tally.Tally`.

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleCommand(Immutable):
+class VehicleCommand(Value, frozen=True):
     """A request in SI units and fractions. The gate decides what of it reaches the wire.
 
     `t_sensor_ns` is the monotonic stamp of the oldest sensor data behind the command, `run_id` the run for which it

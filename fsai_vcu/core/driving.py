@@ -7,12 +7,11 @@ y left); *odometry frame* is the vehicle frame where the run began.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 if TYPE_CHECKING:
     from fsai_vcu.core.arrays import Floats, Ints
@@ -28,8 +27,7 @@ class ConeColor(IntEnum):
     BIG_ORANGE = 4  # start and finish gates
 
 
-@dataclass(frozen=True, slots=True)
-class ConeObservation(Immutable):
+class ConeObservation(Value, frozen=True):
     """Cones seen at one instant, in the vehicle frame.
 
     xy_m: (N, 2) metres; color: (N,) ConeColor values; confidence: (N,) 0…1.
@@ -41,8 +39,7 @@ class ConeObservation(Immutable):
     confidence: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Motion(Immutable):
+class Motion(Value, frozen=True):
     """Dead-reckoned motion in the odometry frame. Rear-axle centre.
 
     `t_ns` is when the wheel speeds were received that it was made of. `…_sd_…` are standard deviations.
@@ -61,8 +58,7 @@ class Motion(Immutable):
     yaw_rate_sd_radps: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Run(Immutable):
+class Run(Value, frozen=True):
     """The run in hand: a new `run_id` asks planner and controller to forget everything and to confirm it.
 
     `may_move` is True once AS_DRIVING has lasted the 3 s in which the car must stand still.
@@ -74,8 +70,7 @@ class Run(Immutable):
     may_move: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Plan(Immutable):
+class Plan(Value, frozen=True):
     """Where to drive, from the planner to the controller.
 
     path_m: (M, 2) vehicle frame of the instant `t_sensor_ns`, ordered forward, first point near the car.

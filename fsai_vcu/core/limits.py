@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from fsai_vcu.interface.errors import UserError
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 
 class LimitsError(UserError, ValueError):
     """The limits given cannot be used."""
 
 
-@dataclass(frozen=True, slots=True)
-class OperationalLimits(Immutable):
+class OperationalLimits(Value, frozen=True):
     """The most that may be asked of the car. Infinity means that the official limits nothing there."""
 
     max_speed_mps: float = math.inf

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, fields
-from typing import Any, TypeVar
+from functools import cache
+from typing import get_type_hints
 
-N = TypeVar("N", int, float)
+from msgspec import Meta
 
-
-def within(low: float, high: float, default: N) -> N:
-    """A field of a settings class with its range, ends included."""
-    found: Any = field(default=default, metadata={"range": (low, high)})
-    return found  # type: ignore[no-any-return]
+from fsai_vcu.interface.values import Value
 
 
-def ranges_of(settings: Any) -> Mapping[str, tuple[float, float]]:
+def within(low: float, high: float) -> Meta:
+    """The range of a field of a settings class, ends included; it stands in the field's `Annotated`."""
+    return Meta(ge=low, le=high)
+
+
+@cache
+def ranges_of(settings: type[Value]) -> Mapping[str, tuple[float, float]]:
     """The ranges of the fields that were declared with one."""
-    return {each.name: each.metadata["range"] for each in fields(settings) if each.metadata}
+    return {
+        name: (note.ge, note.le)
+        for name, hint in get_type_hints(settings, include_extras=True).items()
+        for note in getattr(hint, "__metadata__", ())
+        if isinstance(note, Meta) and note.ge is not None and note.le is not None
+    }
 
 
-def check_ranges(settings: Any, what: str, others: tuple[float, float] = (0.01, 100.0)) -> None:
+def check_ranges(settings: Value, what: str, others: tuple[float, float] = (0.01, 100.0)) -> None:
     """`others`: the range of fields that were declared without one. Raises ValueError, which names the setting."""
-    for each in fields(settings):
-        value = getattr(settings, each.name)
-        low, high = each.metadata.get("range", others)
+    ranges = ranges_of(type(settings))
+    for name in settings.__struct_fields__:
+        value = getattr(settings, name)
+        low, high = ranges.get(name, others)
         if not low <= value <= high:
-            raise ValueError(f"{what} setting {each.name} is {value}, outside {low}…{high}")
+            raise ValueError(f"{what} setting {name} is {value}, outside {low}…{high}")

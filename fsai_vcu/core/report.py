@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.reasons import words_of
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeReport(Immutable):
+class BridgeReport(Value, frozen=True):
     """A snapshot at `t_ns` (monotonic). Ages are None for what was never received."""
 
     t_ns: int

@@ -9,7 +9,6 @@ multiplexed) take the careful path always, with cantools doing the bits.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +18,8 @@ from numbers import Real
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+from msgspec import NODEFAULT, structs
 
 try:
     import bitstruct.c as bitstruct
@@ -286,10 +287,10 @@ class _Layout:
                 self.lacking.append((field.signal, field.absent))
             else:
                 raise DatabaseError(f"{_files(paths)}: {message.name} has no signal {field.signal}")
-        declared = [field for field in dataclasses.fields(kind) if field.name != "t_rx_ns"]
+        declared = [field for field in structs.fields(kind) if field.name != "t_rx_ns"]
         self.names = [field.name for field in declared]
         self.groups: dict[str, Any] = {
-            field.name: field.default_factory for field in declared if field.default_factory is not dataclasses.MISSING
+            field.name: field.default_factory for field in declared if field.default_factory is not NODEFAULT
         }
         self.simple = not message.is_multiplexed() and all(
             slot.signal.byte_order == "little_endian"
@@ -366,7 +367,7 @@ class _Layout:
         mask = sum(slot.mask << slot.start for slot in narrow.values())
         unpack = bitstruct.compile(_from_the_end([self.slots[name] for name in wide], self.message.length)).unpack
         any_float = any(slot.is_float for slot in self.slots.values())
-        of, careful, is_status, length = self.kind.of, self.careful_decode, self.kind is VcuStatus, self.message.length
+        of, careful, is_status, length = self.kind, self.careful_decode, self.kind is VcuStatus, self.message.length
 
         @lru_cache(maxsize=_COMBINATIONS)
         def read_narrow(word: int) -> tuple[Any, ...]:
@@ -393,7 +394,7 @@ class _Layout:
                 if found is None:
                     return careful(frame)
                 latest, values = (data, found), found
-            image: Any = of((*values, frame.t_ns))
+            image: Any = of(*values, frame.t_ns)
             decoded = _new(Decoded, (image, (), image.handshake if is_status else None))
             answered = frame, decoded
             return decoded
@@ -420,7 +421,7 @@ class _Layout:
 
         if not self.simple or not self.slots:
             return careful
-        known: dict[str, Any] = {"careful": careful, "make": Frame.of, "can_id": self.message.frame_id}
+        known: dict[str, Any] = {"careful": careful, "make": Frame, "can_id": self.message.frame_id}
         written = [_written(slot, number, known) for number, slot in enumerate(self.slots.values())]
         ranged = [number for number in range(len(written)) if f"low{number}" in known]
         ranges = " and ".join(f"low{number} <= v{number} <= high{number}" for number in ranged)
@@ -431,7 +432,7 @@ class _Layout:
             *(f"  v{number} = source.{attribute}" for number, attribute in enumerate(attributes)),
             f"  if {ranges or True}:",
             f"   data = ({' + '.join(written)}).to_bytes({self.message.length}, 'little')",
-            "   return make((can_id, data, t_ns, False, False, False))",
+            "   return make(can_id, data, t_ns)",
             " except (KeyError, ValueError, TypeError, AttributeError, OverflowError):",
             "  pass",
             " return careful(source, t_ns)",

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class Frame(Immutable):
+class Frame(Value, frozen=True):
     """A CAN 2.0 frame.
 
     `t_ns` is the integer monotonic time at which it was received (or is to be sent); 0 where it has no meaning.

@@ -7,8 +7,9 @@ arriving can never look fresh. Signals which a revision or a database lacks are 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Final, get_args
+from typing import Annotated, Final, get_args
+
+from msgspec import field
 
 from fsai_vcu.interface.enums import (
     Ami,
@@ -23,8 +24,8 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.fields import NOT_READ, Message, by_message, fields_of, signal
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.fields import NOT_READ, Message, Signal, by_message, fields_of
+from fsai_vcu.interface.values import Value
 
 # What follows where a database lacks a signal.
 _NOT_SENT: Final = "not sent"
@@ -36,62 +37,66 @@ _NO_STATE: Final = "the states of the car's systems are not reported"
 # ---------------------------------------------------------------- AI -> VCU
 
 
-@dataclass(frozen=True, slots=True)
-class AiStatus(Message, name="AI2VCU_Status", required=True):
+class AiStatus(Message, frozen=True):
     """0x510 AI2VCU_Status."""
 
-    handshake: bool = signal("HANDSHAKE", False)
-    estop_request: bool = signal("ESTOP_REQUEST", False)
-    mission_status: MissionStatus = signal("MISSION_STATUS", MissionStatus.NOT_SELECTED)
-    direction: Direction = signal("DIRECTION_REQUEST", Direction.NEUTRAL)
-    lap_counter: int = signal("LAP_COUNTER", 0, saturates=True, absent=_NOT_SENT)
-    cones_count_actual: int = signal("CONES_COUNT_ACTUAL", 0, saturates=True, absent=_NOT_SENT)
-    cones_count_all: int = signal("CONES_COUNT_ALL", 0, saturates=True, absent=_NOT_SENT)
-    speed_actual_kmh: int = signal("VEH_SPEED_ACTUAL", 0, saturates=True, absent=_NOT_SENT)
-    speed_demand_kmh: int = signal("VEH_SPEED_DEMAND", 0, saturates=True, absent=_NOT_SENT)
+    dbc_name, required = "AI2VCU_Status", True
+
+    handshake: Annotated[bool, Signal("HANDSHAKE")] = False
+    estop_request: Annotated[bool, Signal("ESTOP_REQUEST")] = False
+    mission_status: Annotated[MissionStatus, Signal("MISSION_STATUS")] = MissionStatus.NOT_SELECTED
+    direction: Annotated[Direction, Signal("DIRECTION_REQUEST")] = Direction.NEUTRAL
+    lap_counter: Annotated[int, Signal("LAP_COUNTER", saturates=True, absent=_NOT_SENT)] = 0
+    cones_count_actual: Annotated[int, Signal("CONES_COUNT_ACTUAL", saturates=True, absent=_NOT_SENT)] = 0
+    cones_count_all: Annotated[int, Signal("CONES_COUNT_ALL", saturates=True, absent=_NOT_SENT)] = 0
+    speed_actual_kmh: Annotated[int, Signal("VEH_SPEED_ACTUAL", saturates=True, absent=_NOT_SENT)] = 0
+    speed_demand_kmh: Annotated[int, Signal("VEH_SPEED_DEMAND", saturates=True, absent=_NOT_SENT)] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class AiDriveFront(Message, name="AI2VCU_Drive_F", required=True):
+class AiDriveFront(Message, frozen=True):
     """0x511 AI2VCU_Drive_F."""
 
-    torque_nm: float = signal("FRONT_AXLE_TRQ_REQUEST", 0.0, command="front_torque_nm")
-    motor_speed_max_rpm: int = signal("FRONT_MOTOR_SPEED_MAX", 0, command="front_motor_speed_max_rpm")
+    dbc_name, required = "AI2VCU_Drive_F", True
+
+    torque_nm: Annotated[float, Signal("FRONT_AXLE_TRQ_REQUEST", command="front_torque_nm")] = 0.0
+    motor_speed_max_rpm: Annotated[int, Signal("FRONT_MOTOR_SPEED_MAX", command="front_motor_speed_max_rpm")] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class AiDriveRear(Message, name="AI2VCU_Drive_R", required=True):
+class AiDriveRear(Message, frozen=True):
     """0x512 AI2VCU_Drive_R."""
 
-    torque_nm: float = signal("REAR_AXLE_TRQ_REQUEST", 0.0, command="rear_torque_nm")
-    motor_speed_max_rpm: int = signal("REAR_MOTOR_SPEED_MAX", 0, command="rear_motor_speed_max_rpm")
+    dbc_name, required = "AI2VCU_Drive_R", True
+
+    torque_nm: Annotated[float, Signal("REAR_AXLE_TRQ_REQUEST", command="rear_torque_nm")] = 0.0
+    motor_speed_max_rpm: Annotated[int, Signal("REAR_MOTOR_SPEED_MAX", command="rear_motor_speed_max_rpm")] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class AiSteer(Message, name="AI2VCU_Steer", required=True):
+class AiSteer(Message, frozen=True):
     """0x513 AI2VCU_Steer: bicycle-model road angle, positive turns left (ISO 8855)."""
 
-    steer_deg: float = signal("STEER_REQUEST", 0.0)
+    dbc_name, required = "AI2VCU_Steer", True
+
+    steer_deg: Annotated[float, Signal("STEER_REQUEST")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class AiBrake(Message, name="AI2VCU_Brake", required=True):
+class AiBrake(Message, frozen=True):
     """0x514 AI2VCU_Brake."""
 
-    front_pct: float = signal("HYD_PRESS_F_REQ_pct", 0.0, command="front_brake_pct")
-    rear_pct: float = signal("HYD_PRESS_R_REQ_pct", 0.0, command="rear_brake_pct")
+    dbc_name, required = "AI2VCU_Brake", True
+
+    front_pct: Annotated[float, Signal("HYD_PRESS_F_REQ_pct", command="front_brake_pct")] = 0.0
+    rear_pct: Annotated[float, Signal("HYD_PRESS_R_REQ_pct", command="rear_brake_pct")] = 0.0
     t_rx_ns: int = 0
 
 
 AiImage = AiStatus | AiDriveFront | AiDriveRear | AiSteer | AiBrake
 
 
-@dataclass(frozen=True, slots=True)
-class AiCommand(Immutable):
+class AiCommand(Value, frozen=True):
     """Everything that the AI computer says in one cycle: 0x510 to 0x514. The default is safe."""
 
     handshake: bool = False
@@ -129,21 +134,20 @@ COMMAND_FIELDS: Final[Mapping[type[AiImage], Mapping[str, str]]] = {
 # ---------------------------------------------------------------- VCU -> AI
 
 
-@dataclass(frozen=True, slots=True)
-class Faults(Immutable):
+class Faults(Value, frozen=True):
     """The fault bits of 0x520. A bit that the database lacks is None."""
 
-    ai_estop_request: bool | None = signal("AI_ESTOP_REQUEST", None, absent=_NO_FAULT)
-    hvil_open: bool | None = signal("HVIL_OPEN_FAULT", None, absent=_NO_FAULT)
-    hvil_short: bool | None = signal("HVIL_SHORT_FAULT", None, absent=_NO_FAULT)
-    ebs: bool | None = signal("EBS_FAULT", None, absent=_NO_FAULT)
-    offboard_charger: bool | None = signal("OFFBOARD_CHARGER_FAULT", None, absent=_NO_FAULT)
-    ai_comms_lost: bool | None = signal("AI_COMMS_LOST", None, absent=_NO_FAULT)
-    autonomous_braking: bool | None = signal("AUTONOMOUS_BRAKING_FAULT", None, absent=_NO_FAULT)
-    mission_status: bool | None = signal("MISSION_STATUS_FAULT", None, absent=_NO_FAULT)
-    charge_procedure: bool | None = signal("CHARGE_PROCEDURE_FAULT", None, absent=_NO_FAULT)
-    bms: bool | None = signal("BMS_FAULT", None, absent=_NO_FAULT)
-    brake_plausibility: bool | None = signal("BRAKE_PLAUSIBILITY_FAULT", None, absent=_NO_FAULT)
+    ai_estop_request: Annotated[bool | None, Signal("AI_ESTOP_REQUEST", absent=_NO_FAULT)] = None
+    hvil_open: Annotated[bool | None, Signal("HVIL_OPEN_FAULT", absent=_NO_FAULT)] = None
+    hvil_short: Annotated[bool | None, Signal("HVIL_SHORT_FAULT", absent=_NO_FAULT)] = None
+    ebs: Annotated[bool | None, Signal("EBS_FAULT", absent=_NO_FAULT)] = None
+    offboard_charger: Annotated[bool | None, Signal("OFFBOARD_CHARGER_FAULT", absent=_NO_FAULT)] = None
+    ai_comms_lost: Annotated[bool | None, Signal("AI_COMMS_LOST", absent=_NO_FAULT)] = None
+    autonomous_braking: Annotated[bool | None, Signal("AUTONOMOUS_BRAKING_FAULT", absent=_NO_FAULT)] = None
+    mission_status: Annotated[bool | None, Signal("MISSION_STATUS_FAULT", absent=_NO_FAULT)] = None
+    charge_procedure: Annotated[bool | None, Signal("CHARGE_PROCEDURE_FAULT", absent=_NO_FAULT)] = None
+    bms: Annotated[bool | None, Signal("BMS_FAULT", absent=_NO_FAULT)] = None
+    brake_plausibility: Annotated[bool | None, Signal("BRAKE_PLAUSIBILITY_FAULT", absent=_NO_FAULT)] = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -155,90 +159,94 @@ FAULT_NAMES: Final[Mapping[str, str]] = {one.name: one.signal for one in fields_
 """For each field of Faults the databases' name, which is also the one for people."""
 
 
-@dataclass(frozen=True, slots=True)
-class VcuStatus(Message, name="VCU2AI_Status", required=True):
+class VcuStatus(Message, frozen=True):
     """0x520 VCU2AI_Status."""
 
-    handshake: bool = signal("HANDSHAKE", False)
-    shutdown_request: bool = signal("SHUTDOWN_REQUEST", False, absent="no request to shut down is seen")
-    as_switch: bool | None = signal("AS_SWITCH_STATUS", False, absent=_NO_SWITCH)
-    ts_switch: bool | None = signal("TS_SWITCH_STATUS", False, absent=_NO_SWITCH)
-    go_signal: bool = signal("GO_SIGNAL", False)
-    steering_status: SteeringStatus | None = signal(
-        "STEERING_STATUS",
-        SteeringStatus.OFF,
-        unknown=SteeringStatus.OFF,
-        absent="that the steering is not active is not seen",
-    )
-    as_state: AsState = signal("AS_STATE", AsState.AS_OFF)
-    ami: Ami = signal("AMI_STATE", Ami.NOT_SELECTED, unknown=Ami.NOT_SELECTED)
-    fault: bool = signal("FAULT_STATUS", False, absent="that the VCU has found a fault is not seen")
-    warning: bool = signal("WARNING_STATUS", False, absent=_NO_WARNING)
-    warn_batt_temp_high: bool = signal("WARN_BATT_TEMP_HIGH", False, absent=_NO_WARNING)
-    warn_batt_soc_low: bool = signal("WARN_BATT_SOC_LOW", False, absent=_NO_WARNING)
+    dbc_name, required = "VCU2AI_Status", True
+
+    handshake: Annotated[bool, Signal("HANDSHAKE")] = False
+    shutdown_request: Annotated[bool, Signal("SHUTDOWN_REQUEST", absent="no request to shut down is seen")] = False
+    as_switch: Annotated[bool | None, Signal("AS_SWITCH_STATUS", absent=_NO_SWITCH)] = False
+    ts_switch: Annotated[bool | None, Signal("TS_SWITCH_STATUS", absent=_NO_SWITCH)] = False
+    go_signal: Annotated[bool, Signal("GO_SIGNAL")] = False
+    steering_status: Annotated[
+        SteeringStatus | None,
+        Signal("STEERING_STATUS", unknown=SteeringStatus.OFF, absent="that the steering is not active is not seen"),
+    ] = SteeringStatus.OFF
+    as_state: Annotated[AsState, Signal("AS_STATE")] = AsState.AS_OFF
+    ami: Annotated[Ami, Signal("AMI_STATE", unknown=Ami.NOT_SELECTED)] = Ami.NOT_SELECTED
+    fault: Annotated[bool, Signal("FAULT_STATUS", absent="that the VCU has found a fault is not seen")] = False
+    warning: Annotated[bool, Signal("WARNING_STATUS", absent=_NO_WARNING)] = False
+    warn_batt_temp_high: Annotated[bool, Signal("WARN_BATT_TEMP_HIGH", absent=_NO_WARNING)] = False
+    warn_batt_soc_low: Annotated[bool, Signal("WARN_BATT_SOC_LOW", absent=_NO_WARNING)] = False
     faults: Faults = field(default_factory=Faults)
-    shutdown_cause: ShutdownCause | None = signal(
-        "SHUTDOWN_CAUSE", None, unknown=None, absent="why the car shut down is not reported"
-    )
+    shutdown_cause: Annotated[
+        ShutdownCause | None, Signal("SHUTDOWN_CAUSE", unknown=None, absent="why the car shut down is not reported")
+    ] = None
     # The interface's tables give 255 for fault in a field of four bits: 15 and anything unknown is a fault.
-    op_state: OpState | None = signal("OP_STATE", None, unknown=OpState.OP_FAULT, absent=_NO_STATE)
-    ts_state: TsState | None = signal("TS_STATE", None, unknown=TsState.TS_FAULT, absent=_NO_STATE)
-    ebs_state: EbsState | None = signal("EBS_STATE", None, unknown=EbsState.EBS_FAULT, absent=_NO_STATE)
+    op_state: Annotated[OpState | None, Signal("OP_STATE", unknown=OpState.OP_FAULT, absent=_NO_STATE)] = None
+    ts_state: Annotated[TsState | None, Signal("TS_STATE", unknown=TsState.TS_FAULT, absent=_NO_STATE)] = None
+    ebs_state: Annotated[EbsState | None, Signal("EBS_STATE", unknown=EbsState.EBS_FAULT, absent=_NO_STATE)] = None
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class VcuDriveFront(Message, name="VCU2AI_Drive_F", required=True):
+class VcuDriveFront(Message, frozen=True):
     """0x521 VCU2AI_Drive_F."""
 
-    torque_nm: float = signal("FRONT_AXLE_TRQ", 0.0)
-    torque_request_nm: float = signal("FRONT_AXLE_TRQ_REQUEST", 0.0)
-    torque_max_nm: float = signal("FRONT_AXLE_TRQ_MAX", 0.0)
+    dbc_name, required = "VCU2AI_Drive_F", True
+
+    torque_nm: Annotated[float, Signal("FRONT_AXLE_TRQ")] = 0.0
+    torque_request_nm: Annotated[float, Signal("FRONT_AXLE_TRQ_REQUEST")] = 0.0
+    torque_max_nm: Annotated[float, Signal("FRONT_AXLE_TRQ_MAX")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class VcuDriveRear(Message, name="VCU2AI_Drive_R", required=True):
+class VcuDriveRear(Message, frozen=True):
     """0x522 VCU2AI_Drive_R."""
 
-    torque_nm: float = signal("REAR_AXLE_TRQ", 0.0)
-    torque_request_nm: float = signal("REAR_AXLE_TRQ_REQUEST", 0.0)
-    torque_max_nm: float = signal("REAR_AXLE_TRQ_MAX", 0.0)
+    dbc_name, required = "VCU2AI_Drive_R", True
+
+    torque_nm: Annotated[float, Signal("REAR_AXLE_TRQ")] = 0.0
+    torque_request_nm: Annotated[float, Signal("REAR_AXLE_TRQ_REQUEST")] = 0.0
+    torque_max_nm: Annotated[float, Signal("REAR_AXLE_TRQ_MAX")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class VcuSteer(Message, name="VCU2AI_Steer", required=True):
+class VcuSteer(Message, frozen=True):
     """0x523 VCU2AI_Steer."""
 
-    angle_deg: float = signal("ANGLE", 0.0)
-    angle_max_deg: float = signal("ANGLE_MAX", 0.0)
-    angle_request_deg: float = signal("ANGLE_REQUEST", 0.0)
+    dbc_name, required = "VCU2AI_Steer", True
+
+    angle_deg: Annotated[float, Signal("ANGLE")] = 0.0
+    angle_max_deg: Annotated[float, Signal("ANGLE_MAX")] = 0.0
+    angle_request_deg: Annotated[float, Signal("ANGLE_REQUEST")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class VcuBrake(Message, name="VCU2AI_Brake", required=True):
+class VcuBrake(Message, frozen=True):
     """0x524 VCU2AI_Brake."""
 
-    front_pct: float = signal("HYD_PRESS_F_pct", 0.0)
-    front_request_pct: float = signal("HYD_PRESS_F_REQ_pct", 0.0)
-    rear_pct: float = signal("HYD_PRESS_R_pct", 0.0)
-    rear_request_pct: float = signal("HYD_PRESS_R_REQ_pct", 0.0)
-    brake_status: BrakeStatus | None = signal("STATUS_BRK", None, unknown=None)
+    dbc_name, required = "VCU2AI_Brake", True
+
+    front_pct: Annotated[float, Signal("HYD_PRESS_F_pct")] = 0.0
+    front_request_pct: Annotated[float, Signal("HYD_PRESS_F_REQ_pct")] = 0.0
+    rear_pct: Annotated[float, Signal("HYD_PRESS_R_pct")] = 0.0
+    rear_request_pct: Annotated[float, Signal("HYD_PRESS_R_REQ_pct")] = 0.0
+    brake_status: Annotated[BrakeStatus | None, Signal("STATUS_BRK", unknown=None)] = None
     # 0 is not in the table, and yet what the official simulator always sends.
-    ebs_status: EbsStatus | None = signal("STATUS_EBS", None, unknown=None, unremarkable=(0,))
+    ebs_status: Annotated[EbsStatus | None, Signal("STATUS_EBS", unknown=None, unremarkable=(0,))] = None
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class WheelSpeeds(Message, name="VCU2AI_Speeds", required=True):
+class WheelSpeeds(Message, frozen=True):
     """0x525 VCU2AI_Speeds."""
 
-    fl_rpm: int = signal("{fl}_WHEEL_SPEED", 0)
-    fr_rpm: int = signal("{fr}_WHEEL_SPEED", 0)
-    rl_rpm: int = signal("{rl}_WHEEL_SPEED", 0)
-    rr_rpm: int = signal("{rr}_WHEEL_SPEED", 0)
+    dbc_name, required = "VCU2AI_Speeds", True
+
+    fl_rpm: Annotated[int, Signal("{fl}_WHEEL_SPEED")] = 0
+    fr_rpm: Annotated[int, Signal("{fr}_WHEEL_SPEED")] = 0
+    rl_rpm: Annotated[int, Signal("{rl}_WHEEL_SPEED")] = 0
+    rr_rpm: Annotated[int, Signal("{rr}_WHEEL_SPEED")] = 0
     t_rx_ns: int = 0
 
     @property
@@ -246,71 +254,74 @@ class WheelSpeeds(Message, name="VCU2AI_Speeds", required=True):
         return (self.fl_rpm, self.fr_rpm, self.rl_rpm, self.rr_rpm)
 
 
-@dataclass(frozen=True, slots=True)
-class WheelCounts(Message, name="VCU2AI_Wheel_counts", required=True):
+class WheelCounts(Message, frozen=True):
     """0x526 VCU2AI_Wheel_counts: 16-bit pulse counters that wrap."""
 
-    fl: int = signal("{fl}_PULSE_COUNT", 0)
-    fr: int = signal("{fr}_PULSE_COUNT", 0)
-    rl: int = signal("{rl}_PULSE_COUNT", 0)
-    rr: int = signal("{rr}_PULSE_COUNT", 0)
+    dbc_name, required = "VCU2AI_Wheel_counts", True
+
+    fl: Annotated[int, Signal("{fl}_PULSE_COUNT")] = 0
+    fr: Annotated[int, Signal("{fr}_PULSE_COUNT")] = 0
+    rl: Annotated[int, Signal("{rl}_PULSE_COUNT")] = 0
+    rr: Annotated[int, Signal("{rr}_PULSE_COUNT")] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class LogDynamics1(Message, name="VCU2LOG_Dynamics1"):
+class LogDynamics1(Message, frozen=True):
     """0x500 VCU2LOG_Dynamics1."""
 
-    speed_actual_kmh: int = signal("Speed_actual", 0, saturates=True)
-    speed_target_kmh: int = signal("Speed_target", 0, saturates=True)
-    steer_actual_deg: float = signal("Steer_actual", 0.0, saturates=True)
-    steer_target_deg: float = signal("Steer_target", 0.0, saturates=True)
-    brake_actual_pct: int = signal("Brake_actual_pct", 0, saturates=True)
-    brake_target_pct: int = signal("Brake_target_pct", 0, saturates=True)
-    torque_actual_pct: int = signal("Drive_trq_actual_pct", 0, saturates=True)
-    torque_target_pct: int = signal("Drive_trq_target_pct", 0, saturates=True)
+    dbc_name = "VCU2LOG_Dynamics1"
+
+    speed_actual_kmh: Annotated[int, Signal("Speed_actual", saturates=True)] = 0
+    speed_target_kmh: Annotated[int, Signal("Speed_target", saturates=True)] = 0
+    steer_actual_deg: Annotated[float, Signal("Steer_actual", saturates=True)] = 0.0
+    steer_target_deg: Annotated[float, Signal("Steer_target", saturates=True)] = 0.0
+    brake_actual_pct: Annotated[int, Signal("Brake_actual_pct", saturates=True)] = 0
+    brake_target_pct: Annotated[int, Signal("Brake_target_pct", saturates=True)] = 0
+    torque_actual_pct: Annotated[int, Signal("Drive_trq_actual_pct", saturates=True)] = 0
+    torque_target_pct: Annotated[int, Signal("Drive_trq_target_pct", saturates=True)] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class LogStatus(Message, name="VCU2LOG_Status"):
+class LogStatus(Message, frozen=True):
     """0x502 VCU2LOG_Status. The small state fields stay raw: they are for people and logs only."""
 
-    assi: int = signal("State_ASSI", 0)
-    ebs: int = signal("State_EBS", 0)
-    ami: int = signal("AMI_STATE", 0)
-    steering: int = signal("State_steering", 0)
-    service_brake: int = signal("State_service_brake", 0)
-    lap_counter: int = signal("Lap_counter", 0, saturates=True)
-    cones_count_actual: int = signal("Cones_count_actual", 0, saturates=True)
-    cones_count_all: int = signal("Cones_count_all", 0, saturates=True)
+    dbc_name = "VCU2LOG_Status"
+
+    assi: Annotated[int, Signal("State_ASSI")] = 0
+    ebs: Annotated[int, Signal("State_EBS")] = 0
+    ami: Annotated[int, Signal("AMI_STATE")] = 0
+    steering: Annotated[int, Signal("State_steering")] = 0
+    service_brake: Annotated[int, Signal("State_service_brake")] = 0
+    lap_counter: Annotated[int, Signal("Lap_counter", saturates=True)] = 0
+    cones_count_actual: Annotated[int, Signal("Cones_count_actual", saturates=True)] = 0
+    cones_count_all: Annotated[int, Signal("Cones_count_all", saturates=True)] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class VcuSystemStatus(Message, name="VCU_STATUS"):
+class VcuSystemStatus(Message, frozen=True):
     """0x120 VCU_STATUS (2021 only): the VCU's inner state machine and its AI time-outs."""
 
-    sm_sys: int = signal("SM_SYS", 0)
-    sm_as: int = signal("SM_AS", 0)
-    sys_action_state: int = signal("SYS_ACTION_STATE", 0)
-    status_timeout: bool = signal("R1_AI2VCU_STATUS_TIMEOUT_ERROR", False, absent=NOT_READ)
-    drive_front_timeout: bool = signal("R1_AI2VCU_DRIVE_F_TIMEOUT_ERROR", False, absent=NOT_READ)
-    drive_rear_timeout: bool = signal("R1_AI2VCU_DRIVE_R_TIMEOUT_ERROR", False, absent=NOT_READ)
-    steer_timeout: bool = signal("R1_AI2VCU_STEER_TIMEOUT_ERROR", False, absent=NOT_READ)
-    brake_timeout: bool = signal("R1_AI2VCU_BRAKE_TIMEOUT_ERROR", False, absent=NOT_READ)
-    handshake_timeout: bool = signal("R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR", False, absent=NOT_READ)
-    warn_brake_plausibility: bool = signal("WARN_BRAKE_PLAUSIBILITY", False, absent=NOT_READ)
-    warn_kl15_under_v: bool = signal("WARN_KL15_UNDER_V", False, absent=NOT_READ)
-    warn_ai_estop_req: bool = signal("WARN_AI_ESTOP_REQ", False, absent=NOT_READ)
-    warn_ai_comms_lost: bool = signal("WARN_AI_COMMS_LOST", False, absent=NOT_READ)
-    warn_auto_braking: bool = signal("WARN_AUTO_BRAKING", False, absent=NOT_READ)
-    warn_mission_status: bool = signal("WARN_MISSION_STATUS", False, absent=NOT_READ)
+    dbc_name = "VCU_STATUS"
+
+    sm_sys: Annotated[int, Signal("SM_SYS")] = 0
+    sm_as: Annotated[int, Signal("SM_AS")] = 0
+    sys_action_state: Annotated[int, Signal("SYS_ACTION_STATE")] = 0
+    status_timeout: Annotated[bool, Signal("R1_AI2VCU_STATUS_TIMEOUT_ERROR", absent=NOT_READ)] = False
+    drive_front_timeout: Annotated[bool, Signal("R1_AI2VCU_DRIVE_F_TIMEOUT_ERROR", absent=NOT_READ)] = False
+    drive_rear_timeout: Annotated[bool, Signal("R1_AI2VCU_DRIVE_R_TIMEOUT_ERROR", absent=NOT_READ)] = False
+    steer_timeout: Annotated[bool, Signal("R1_AI2VCU_STEER_TIMEOUT_ERROR", absent=NOT_READ)] = False
+    brake_timeout: Annotated[bool, Signal("R1_AI2VCU_BRAKE_TIMEOUT_ERROR", absent=NOT_READ)] = False
+    handshake_timeout: Annotated[bool, Signal("R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR", absent=NOT_READ)] = False
+    warn_brake_plausibility: Annotated[bool, Signal("WARN_BRAKE_PLAUSIBILITY", absent=NOT_READ)] = False
+    warn_kl15_under_v: Annotated[bool, Signal("WARN_KL15_UNDER_V", absent=NOT_READ)] = False
+    warn_ai_estop_req: Annotated[bool, Signal("WARN_AI_ESTOP_REQ", absent=NOT_READ)] = False
+    warn_ai_comms_lost: Annotated[bool, Signal("WARN_AI_COMMS_LOST", absent=NOT_READ)] = False
+    warn_auto_braking: Annotated[bool, Signal("WARN_AUTO_BRAKING", absent=NOT_READ)] = False
+    warn_mission_status: Annotated[bool, Signal("WARN_MISSION_STATUS", absent=NOT_READ)] = False
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleState(Immutable):
+class VehicleState(Value, frozen=True):
     """What the car has reported so far. None means never received; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
@@ -337,103 +348,112 @@ VEHICLE_FIELD_OF: Final = by_message(VehicleState)
 # ---------------------------------------------------------------- PCAN-GPS
 
 
-@dataclass(frozen=True, slots=True)
-class Acceleration(Message, name="BMC_Acceleration"):
+class Acceleration(Message, frozen=True):
     """0x600 BMC_Acceleration, in the sensor's axes."""
 
-    x_mg: float = signal("Acceleration_X", 0.0)
-    y_mg: float = signal("Acceleration_Y", 0.0)
-    z_mg: float = signal("Acceleration_Z", 0.0)
-    temperature_degc: float = signal("Temperature", 0.0)
-    vertical_axis: int = signal("VerticalAxis", 0)
-    orientation: int = signal("Orientation", 0)
+    dbc_name = "BMC_Acceleration"
+
+    x_mg: Annotated[float, Signal("Acceleration_X")] = 0.0
+    y_mg: Annotated[float, Signal("Acceleration_Y")] = 0.0
+    z_mg: Annotated[float, Signal("Acceleration_Z")] = 0.0
+    temperature_degc: Annotated[float, Signal("Temperature")] = 0.0
+    vertical_axis: Annotated[int, Signal("VerticalAxis")] = 0
+    orientation: Annotated[int, Signal("Orientation")] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class RotationA(Message, name="L3GD20_Rotation_A"):
+class RotationA(Message, frozen=True):
     """0x610 L3GD20_Rotation_A."""
 
-    x_degps: float = signal("Rotation_X", 0.0)
-    y_degps: float = signal("Rotation_Y", 0.0)
+    dbc_name = "L3GD20_Rotation_A"
+
+    x_degps: Annotated[float, Signal("Rotation_X")] = 0.0
+    y_degps: Annotated[float, Signal("Rotation_Y")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class RotationB(Message, name="L3GD20_Rotation_B"):
+class RotationB(Message, frozen=True):
     """0x611 L3GD20_Rotation_B."""
 
-    z_degps: float = signal("Rotation_Z", 0.0)
+    dbc_name = "L3GD20_Rotation_B"
+
+    z_degps: Annotated[float, Signal("Rotation_Z")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsStatus(Message, name="GPS_Status"):
+class GpsStatus(Message, frozen=True):
     """0x620 GPS_Status."""
 
-    antenna: int = signal("GPS_AntennaStatus", 0)
-    satellites: int = signal("GPS_NumSatellites", 0)
-    navigation_method: int = signal("GPS_NavigationMethod", 0)  # 0 INIT, 1 NONE, 2 2D, 3 3D
+    dbc_name = "GPS_Status"
+
+    antenna: Annotated[int, Signal("GPS_AntennaStatus")] = 0
+    satellites: Annotated[int, Signal("GPS_NumSatellites")] = 0
+    navigation_method: Annotated[int, Signal("GPS_NavigationMethod")] = 0  # 0 INIT, 1 NONE, 2 2D, 3 3D
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsLongitude(Message, name="GPS_PositionLongitude"):
+class GpsLongitude(Message, frozen=True):
     """0x622 GPS_PositionLongitude: whole degrees, minutes and a letter (0 before a fix)."""
 
-    minutes: float = signal("GPS_Longitude_Minutes", 0.0)
-    degrees: int = signal("GPS_Longitude_Degree", 0)
-    indicator: int = signal("GPS_IndicatorEW", 0)
+    dbc_name = "GPS_PositionLongitude"
+
+    minutes: Annotated[float, Signal("GPS_Longitude_Minutes")] = 0.0
+    degrees: Annotated[int, Signal("GPS_Longitude_Degree")] = 0
+    indicator: Annotated[int, Signal("GPS_IndicatorEW")] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsLatitude(Message, name="GPS_PositionLatitude"):
+class GpsLatitude(Message, frozen=True):
     """0x623 GPS_PositionLatitude: whole degrees, minutes and a letter (0 before a fix)."""
 
-    minutes: float = signal("GPS_Latitude_Minutes", 0.0)
-    degrees: int = signal("GPS_Latitude_Degree", 0)
-    indicator: int = signal("GPS_IndicatorNS", 0)
+    dbc_name = "GPS_PositionLatitude"
+
+    minutes: Annotated[float, Signal("GPS_Latitude_Minutes")] = 0.0
+    degrees: Annotated[int, Signal("GPS_Latitude_Degree")] = 0
+    indicator: Annotated[int, Signal("GPS_IndicatorNS")] = 0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsAltitude(Message, name="GPS_PositionAltitude"):
+class GpsAltitude(Message, frozen=True):
     """0x624 GPS_PositionAltitude."""
 
-    altitude_m: float = signal("GPS_Altitude", 0.0)
+    dbc_name = "GPS_PositionAltitude"
+
+    altitude_m: Annotated[float, Signal("GPS_Altitude")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsDilutionA(Message, name="GPS_Delusions_A"):
+class GpsDilutionA(Message, frozen=True):
     """0x625 GPS_Delusions_A: PDOP, then HDOP."""
 
-    pdop: float = signal("GPS_PDOP", 0.0)
-    hdop: float = signal("GPS_HDOP", 0.0)
+    dbc_name = "GPS_Delusions_A"
+
+    pdop: Annotated[float, Signal("GPS_PDOP")] = 0.0
+    hdop: Annotated[float, Signal("GPS_HDOP")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsDilutionB(Message, name="GPS_Delusions_B"):
+class GpsDilutionB(Message, frozen=True):
     """0x626: VDOP."""
 
-    vdop: float = signal("GPS_VDOP", 0.0)
+    dbc_name = "GPS_Delusions_B"
+
+    vdop: Annotated[float, Signal("GPS_VDOP")] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class LogDynamics2(Message, name="AI2LOG_Dynamics2"):
+class LogDynamics2(Message, frozen=True):
     """0x501 AI2LOG_Dynamics2: sent by the PCAN-GPS, or by the AI computer on a car without one."""
 
-    accel_longitudinal_mps2: float = signal("Accel_longitudinal_mps2", 0.0, saturates=True)
-    accel_lateral_mps2: float = signal("Accel_lateral_mps2", 0.0, saturates=True)
-    yaw_rate_degps: float = signal("Yaw_rate_degps", 0.0, saturates=True)
+    dbc_name = "AI2LOG_Dynamics2"
+
+    accel_longitudinal_mps2: Annotated[float, Signal("Accel_longitudinal_mps2", saturates=True)] = 0.0
+    accel_lateral_mps2: Annotated[float, Signal("Accel_lateral_mps2", saturates=True)] = 0.0
+    yaw_rate_degps: Annotated[float, Signal("Yaw_rate_degps", saturates=True)] = 0.0
     t_rx_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class GpsImu(Immutable):
+class GpsImu(Value, frozen=True):
     """What the PCAN-GPS has reported so far, of what is read of it. None: never received."""
 
     acceleration: Acceleration | None = None

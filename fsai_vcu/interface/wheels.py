@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from fsai_vcu.interface.values import Value
 
 WHEELS = ("fl", "fr", "rl", "rr")
 
 
-@dataclass(frozen=True, slots=True)
-class WheelMapping:
+class WheelMapping(Value, frozen=True):
     """For each wheel, the position whose signals in 0x525 and 0x526 carry it; the default is the documented wiring.
 
     `WheelMapping(fl="fr", fr="fl")` says: the front left wheel is found in FR_WHEEL_SPEED and FR_PULSE_COUNT.

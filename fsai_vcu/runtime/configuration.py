@@ -13,8 +13,9 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
+
+from msgspec import field
 
 from fsai_vcu.core.control.settings import CONTROLLER_RANGES, NO_SPEED_LIMIT_MPS, ControllerSettings
 from fsai_vcu.core.limits import LimitsError, OperationalLimits
@@ -24,6 +25,7 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.interface.values import Value
 from fsai_vcu.interface.wheels import WHEELS, WheelMapping
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
@@ -56,8 +58,7 @@ class ConfigurationError(UserError):
         super().__init__(problems[0] + (f" (and {more} more: fsai-vcu config check shows all)" if more else ""))
 
 
-@dataclass(frozen=True, slots=True)
-class Key:
+class Key(Value, frozen=True):
     """One setting of the file: `name` in `[table]`. `node`: whose `parameter` it becomes, unchanged."""
 
     table: str
@@ -193,8 +194,7 @@ TABLES = tuple(dict.fromkeys(key.table for key in KEYS))
 _DISCOVERY = {"localhost": LOOPBACK, "subnet": NETWORKS}
 
 
-@dataclass(frozen=True, slots=True)
-class Configuration:
+class Configuration(Value, frozen=True):
     """What the file says, with the defaults for what it leaves out. `limits`: None where no file is named."""
 
     path: Path | None

@@ -17,7 +17,6 @@ import pickle
 import queue
 import socket
 from collections import deque
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -26,7 +25,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
 
 _LARGEST_BYTES = 1 << 17  # a report has 2 to 20 kB
@@ -36,8 +35,7 @@ _REPORT, _OTHER = b"R", b"M"
 # ---------------------------------------------------------------- from the edge to the loop: these, and commands
 
 
-@dataclass(frozen=True, slots=True)
-class LoopSettings:
+class LoopSettings(Value, frozen=True):
     """Everything that makes a bridge and its loop; the loop's process reads the database and opens the bus."""
 
     bus: str
@@ -45,27 +43,24 @@ class LoopSettings:
     car: str
     dbc_files: tuple[Path, ...] = ()  # empty: the revision's own
     wheel_mapping: WheelMapping = STRAIGHT
-    config: BridgeConfig = BridgeConfig()  # noqa: RUF009  immutable
+    config: BridgeConfig = BridgeConfig()
     limits: OperationalLimits | None = None
     real_time: bool = True
     report_period_ns: int = 10_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class ResetConfirmed:
+class ResetConfirmed(Value, frozen=True):
     """`role` has forgotten the previous run and is ready for `run_id`."""
 
     role: str
     run_id: int
 
 
-@dataclass(frozen=True, slots=True)
-class Alive:
+class Alive(Value, frozen=True):
     """The edge still runs, whether it has anything else to say or not. Sent once a second."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
+class Ask(Value, frozen=True):
     """A request that wants an Answer of its number. After `until_ns` nobody waits any more: it is refused then, unless
     it is `better_late` than never. The process is asked to
 
@@ -87,8 +82,7 @@ class Ask:
 # ---------------------------------------------------------------- from the loop to the edge: these, and log records
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(Value, frozen=True):
     """To the request of that number."""
 
     number: int
@@ -96,8 +90,7 @@ class Answer:
     message: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class LoopReport(Immutable):
+class LoopReport(Value, frozen=True):
     """A snapshot of the bridge, and what the loop knows of itself."""
 
     bridge: BridgeReport
@@ -106,8 +99,7 @@ class LoopReport(Immutable):
     scheduling_refused: tuple[str, ...] = ()  # what of real-time scheduling was not allowed, in words
 
 
-@dataclass(frozen=True, slots=True)
-class Ended:
+class Ended(Value, frozen=True):
     """The loop has ended by itself: why."""
 
     failure: str

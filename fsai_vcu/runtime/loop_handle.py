@@ -14,7 +14,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.report import BridgeReport

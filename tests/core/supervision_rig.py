@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
+
+from msgspec.structs import replace
 
 from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeReport

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from supervision_rig import CYCLE, MS, Rig, S, codec_of, driven
 
 from fsai_vcu.core.bridge import Bridge, BridgeConfig

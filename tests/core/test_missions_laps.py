@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import Circling, LapCounter, LapState, advance_laps, gate_seen, staged

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeObservation, Motion, Run

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from lap_rig import Ride
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from lap_rig import Ride, clearance_m
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.lockstep import Lockstep

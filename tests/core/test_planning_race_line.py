@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from lap_rig import CAR, STEP_M, Ride, clearance_m
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import (

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
 from typing import Any
 
 import pytest
+from msgspec.structs import fields, replace
 from supervision_rig import WELL, Rig, driven
 
 from fsai_vcu.core.bridge import BridgeConfig

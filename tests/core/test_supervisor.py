@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
 import pytest
+from msgspec.structs import fields, replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import supervisor

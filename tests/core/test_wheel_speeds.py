@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.wheel_speeds import (

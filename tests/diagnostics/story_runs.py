@@ -9,9 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.connection import Connection
+
+from msgspec.structs import replace
 
 from fsai_hil.simulator.faults import FaultyWire, FrameFault
 from fsai_hil.simulator.lockstep import Lockstep
@@ -118,7 +120,7 @@ def branch(run: Run, act: Act, seconds: float) -> Ended:
 
 def setup(**changes: object) -> WorldSetup:
     chosen = WorldSetup(missions=[Ami.ACCELERATION], gps=False)
-    return replace(chosen, **changes)  # type: ignore[arg-type]
+    return replace(chosen, **changes)
 
 
 @cache

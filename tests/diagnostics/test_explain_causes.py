@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from story_runs import Act, Run, branch, driving, off, parked, ready, tell
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from story_runs import Run, after, branch, cut, driving, hand_made, log_of, ready, setup, tell
 
 from fsai_hil.simulator.faults import Drop, WrongValues
@@ -94,11 +95,11 @@ class OtherStack:
         for _ in range(count):
             bit = bool(self.t_ms // 20 % 2)
             self.say(
-                replace(car, handshake=bit),
+                structs.replace(car, handshake=bit),
                 VcuSteer(0.0, 21.0, 0.0),
                 VcuBrake(ebs_status=EbsStatus.ARMED),
                 WheelSpeeds(rpm, rpm, rpm, rpm),
-                replace(ai, handshake=bit),
+                structs.replace(ai, handshake=bit),
                 AiDriveFront(torque),
                 AiDriveRear(torque),
                 AiSteer(),
@@ -124,7 +125,7 @@ ON = VcuStatus(
 
 
 def car(**changes: object) -> VcuStatus:
-    return replace(ON, **changes)  # type: ignore[arg-type]
+    return structs.replace(ON, **changes)
 
 
 # ---------------------------------------------------------------- other stacks
@@ -171,7 +172,7 @@ def test_every_shutdown_cause_has_its_row_or_what_led_to_it(cause: ShutdownCause
     assert f"SHUTDOWN_CAUSE {cause.label}" in first.steps[-1].words
 
 
-@pytest.mark.parametrize("bit", Faults.__slots__)
+@pytest.mark.parametrize("bit", Faults.__struct_fields__)
 def test_every_fault_bit_is_enough_where_the_cause_is_not_sent(bit: str) -> None:
     first = tell(OtherStack().braked(faults=Faults(**{bit: True}))).incidents[0].candidates[0]
     assert first.sureness is Sureness.SAID

@@ -15,11 +15,11 @@ import json
 import tempfile
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from msgspec.structs import astuple, replace
 
 from fsai_hil.simulator.ai_computer import OnboardComputer
 from fsai_hil.simulator.lockstep import Lockstep

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from types import SimpleNamespace
 
 import pytest
+from msgspec.structs import asdict
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.supervisor import Asked

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import random
 import re
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import LEGS_MS, CampaignPlan, Since, case_from_spec, drawn
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind

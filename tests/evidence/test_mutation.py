@@ -9,10 +9,11 @@ import ast
 import math
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.evidence.mutation.__main__ import main, table
 from fsai_hil.evidence.mutation.mutants import Mutant, Walk

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.demands import End

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (

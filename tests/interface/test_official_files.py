@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.database import DatabaseError, check_whole, dbc_dir, load_database
@@ -112,7 +112,7 @@ def test_a_table_for_a_signed_flag_names_1_after_loading(codec_of: Callable[[str
     assert values["GO_SIGNAL"].value == 1  # type: ignore[union-attr]
 
 
-EVERY_FAULT = Faults(**dict.fromkeys(Faults.__dataclass_fields__, True))
+EVERY_FAULT = Faults(**dict.fromkeys(Faults.__struct_fields__, True))
 
 
 @pytest.mark.parametrize("fault", [None, "HVIL_OPEN_FAULT"])

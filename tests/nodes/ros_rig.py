@@ -9,7 +9,6 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from geometry_msgs.msg import PoseStamped
+from msgspec.structs import replace
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import Log
 from rclpy.duration import Duration

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from fsai_msgs.msg import Cone, ConeArray, RunState, VehicleState
+from msgspec.structs import replace
 from sensor_msgs.msg import NavSatStatus
 
 from fsai_nodes import conversions as to

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import MappingProxyType
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_nodes.report_log import Culprit, News, ReportLine
 from fsai_vcu.core.bridge import Bridge

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.rehearsal import bench_planning
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan

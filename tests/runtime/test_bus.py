@@ -11,12 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.util import find_spec
 
 import can
 import pytest
 from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
+from msgspec.structs import replace
 
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS

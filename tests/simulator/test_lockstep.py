@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.car_signals import CarFeedback

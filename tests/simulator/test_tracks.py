@@ -6,11 +6,11 @@ import json
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import astuple
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.tracks import (

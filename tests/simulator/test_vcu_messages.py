@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 from vcu_bench import Bench
 
 from fsai_vcu.interface.bus_table import BY_ID, Flow

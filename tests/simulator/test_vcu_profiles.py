@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import pytest
+from msgspec.structs import fields, replace
 from vcu_bench import Bench
 
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile
 from fsai_vcu.interface.enums import AsState, BrakeStatus, Direction, MissionStatus
-from fsai_vcu.interface.immutable import replace
 from fsai_vcu.interface.messages import VcuBrake, VcuStatus
 from fsai_vcu.interface.units import MS, S
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from vcu_bench import Bench
 
 from fsai_hil.simulator.as_machine import AI_FAULTS, CAR_FAULTS, Situation, taken, transition_table
@@ -75,7 +75,7 @@ def named(case: Any) -> str | None:
 
 
 def test_every_fault_is_a_fault_bit_of_the_status_message() -> None:
-    assert {fault.name for fault in (*AI_FAULTS, *CAR_FAULTS)} == {field.name for field in fields(Faults)}
+    assert {fault.name for fault in (*AI_FAULTS, *CAR_FAULTS)} == set(Faults.__struct_fields__)
 
 
 @pytest.mark.parametrize("state", AsState, ids=named)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import socket
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.simulator.ground_truth import Truth, TruthReceiver, TruthSender, pack, unpack
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache, wraps
 from typing import Any, TypeVar
+
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car_signals import CarFeedback
 from fsai_hil.simulator.operator import Operator

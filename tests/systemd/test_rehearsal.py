@@ -6,10 +6,10 @@ import json
 import math
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from fsai_hil.rehearsal.bus_watch import CODEC, Wire, standing
 from fsai_hil.rehearsal.carpc import __main__ as rehearsal

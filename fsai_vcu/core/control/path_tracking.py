@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.planning.pose import headings_along, resampled
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 STEP_M = 0.5
 FEWEST = 5  # points of a path, `STEP_M` apart
@@ -25,8 +24,7 @@ HORIZON_STEPS, HORIZON_STEP_S = 20, 0.05
 DEVIATION_M, DRIFT_MPS, JERK_MPS3 = 0.2, 0.6, 14.0
 
 
-@dataclass(frozen=True, slots=True)
-class Line(Immutable):
+class Line(Value, frozen=True):
     """A path with what tracking needs of it, every `STEP_M`. Its frame is that of the path it was made of."""
 
     path_m: Floats  # (N, 2)

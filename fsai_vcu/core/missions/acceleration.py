@@ -5,13 +5,13 @@ Lane frame: x along the middle, 0 where the car was staged; y to the left.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, from_car, misfit, on_course
+from fsai_vcu.interface.values import Value
 
 SEARCH = np.array([[0.0, y, yaw] for y in np.arange(-2.0, 2.1, 0.5) for yaw in np.radians(np.arange(-18.0, 19.0, 3.0))])
 SEARCH_SIGMA = np.array([0.01, 0.5, 0.05])
@@ -25,8 +25,7 @@ GATE_WIDEST_M = 4.0  # of its cones from the lane's middle
 HALF_WIDTH_MIN_M, HALF_WIDTH_MAX_M = 1.2, 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StraightLane:
+class StraightLane(Value, frozen=True, eq=False):
     """The car at `motion`: its pose (x, y, yaw) in the lane frame."""
 
     pose: Floats

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
+
+from msgspec.structs import replace
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.steering_sweep import NOT_BEGUN, SweepState, advance_sweep
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 STOP_BRAKE = 0.5  # half of full braking: from 5 m/s in some 4 m with the dead time
 REST_BRAKE = 0.2
@@ -38,8 +39,7 @@ class DemoPhase(Enum):
 NEXT = dict(pairwise(DemoPhase))
 
 
-@dataclass(frozen=True, slots=True)
-class DemoState(Immutable):
+class DemoState(Value, frozen=True):
     phase: DemoPhase = DemoPhase.SWEEP
     since_ns: int = 0
     distance_m: float = 0.0  # driven when the phase began

@@ -9,16 +9,16 @@ line is laid anew where the car passes it, so that only one lap's drift matters.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 GATE_DEPTH_M = 5.0  # along the lane, between cones of one gate
 ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
@@ -33,8 +33,7 @@ LAP_END_M = 30.0  # beyond the line, which may be in sight from before it
 SIGHTED_M = 10.0  # of way in which a gate passed was seen right before
 
 
-@dataclass(frozen=True, slots=True)
-class Line(Immutable):
+class Line(Value, frozen=True):
     """A line across the lane in the odometry frame: its middle and the direction in which it is passed."""
 
     x_m: float
@@ -50,8 +49,7 @@ class Line(Immutable):
         return dx * cos + dy * sin, dy * cos - dx * sin
 
 
-@dataclass(frozen=True, slots=True)
-class LapState(Immutable):
+class LapState(Value, frozen=True):
     """`passages` of the line: the first begins lap 1."""
 
     line: Line

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class CarView(Immutable):
+class CarView(Value, frozen=True):
     """What such a mission goes by. wheel_rpm: FL, FR, RL, RR; steer_rad: measured; standing: all wheels at rest."""
 
     now_ns: int
@@ -19,8 +16,7 @@ class CarView(Immutable):
     standing: bool
 
 
-@dataclass(frozen=True, slots=True)
-class MissionRequest(Immutable):
+class MissionRequest(Value, frozen=True):
     """What it asks for, as in `VehicleCommand`. The default is at rest."""
 
     steering_rad: float = 0.0

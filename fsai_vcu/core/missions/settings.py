@@ -3,14 +3,11 @@ the rules the missions were written for. Lengths in m, speeds in m/s, times in s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.units import KMH_PER_MPS
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class MissionSettings(Immutable):
+class MissionSettings(Value, frozen=True):
     """Staging distances are from the car's nose to the line."""
 
     # Autocross / sprint and trackdrive
@@ -51,7 +48,7 @@ class MissionSettings(Immutable):
     demo_pause_s: float = 1.0  # at rest before accelerating again
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
             if not 0 < value < 10_000:
-                raise ValueError(f"mission setting {field.name} is {value}, not a positive number")
+                raise ValueError(f"mission setting {name} is {value}, not a positive number")

@@ -8,15 +8,15 @@ crosses itself, so progress is advanced by the way driven and corrected only nea
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, misfit
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 # Where the car may be on the way in when the circles are searched for; y and yaw from where it should be.
 SEARCH_X_M = np.arange(-30.0, -1.9, 0.8)
@@ -35,8 +35,7 @@ SLIPS_M = np.arange(-1.8, 1.9, 0.6)
 JUMP_M = 2.0  # progress is corrected by no more
 
 
-@dataclass(frozen=True, slots=True)
-class SkidpadCourse(Immutable):
+class SkidpadCourse(Value, frozen=True):
     """The course by the rules."""
 
     radius_m: float  # driven; the circles' centres are so far to either side of the origin
@@ -85,8 +84,7 @@ def skidpad_course(settings: MissionSettings) -> SkidpadCourse:
     return SkidpadCourse(0.5 * settings.skidpad_centres_m, inner, inner + lane, 0.5 * lane, laps)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SkidpadState:
+class SkidpadState(Value, frozen=True, eq=False):
     """The car at `motion`: its pose (x, y, yaw) in the course frame, and its progress.
 
     Until the circles are `found` only y and yaw are known, from the lane in.

@@ -6,15 +6,16 @@ brake. The phases are a table of what follows what.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import Enum
+
+from msgspec.structs import replace
 
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.steering_sweep import NOT_BEGUN, SweepState, advance_sweep
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 # In the air a few newton metres spin the wheels: proportional and integral throttle, and never much of it.
 SPIN_GAIN = 0.06  # throttle per relative error
@@ -35,8 +36,7 @@ class InspectionPhase(Enum):
     EMERGENCY_BRAKE = "emergency brake"
 
 
-@dataclass(frozen=True, slots=True)
-class Inspection:
+class Inspection(Value, frozen=True):
     """One of the two inspections: its phases in order, the speed and for how long it is held."""
 
     phases: tuple[InspectionPhase, ...]
@@ -44,8 +44,7 @@ class Inspection:
     hold_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class InspectionState(Immutable):
+class InspectionState(Value, frozen=True):
     index: int = 0
     since_ns: int | None = None  # when the phase began
     t_ns: int | None = None

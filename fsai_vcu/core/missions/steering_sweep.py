@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from msgspec.structs import replace
 
 from fsai_vcu.core.missions.request import CarView
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 ENDS = (1.0, -1.0, 0.0)  # in units of the full angle, positive left
 PATIENCE_S = 2.0  # an end that is not reached by then is left all the same: the judge, not the car, stands still
 STEP_MAX_S = 0.1  # a longer pause between two calls does not make the angle jump
 
 
-@dataclass(frozen=True, slots=True)
-class SweepState(Immutable):
+class SweepState(Value, frozen=True):
     """`end`: index of the end under way; `angle_rad`: asked for; `held_s`: for how long that end has been asked for."""
 
     end: int = 0

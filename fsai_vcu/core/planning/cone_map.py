@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
@@ -17,7 +18,6 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import aside, in_view, joined, matched
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, resampled_ring, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
-from fsai_vcu.interface.immutable import replace
 
 Bools = NDArray[np.bool_]
 

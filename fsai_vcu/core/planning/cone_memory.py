@@ -6,7 +6,6 @@ no longer find it, when it is far behind, and when it has not been seen for a lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
 from fsai_vcu.core.planning.pose import gaps, to_odometry, to_vehicle, within
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.interface.values import Value
 
 Bools = NDArray[np.bool_]
 
@@ -25,8 +25,7 @@ SIDES = np.array([{ConeColor.BLUE: 1.0, ConeColor.YELLOW: -1.0}.get(color, 0.0) 
 DUPLICATE_M = 0.35  # two cones cannot stand nearer: their feet are 0.23 to 0.29 m wide
 
 
-@dataclass(frozen=True, slots=True)
-class Cones:
+class Cones(Value, frozen=True):
     """Cones believed. xy_m: (N, 2) vehicle frame; color: (N,) ConeColor; side: (N,) +1 left … -1 right, 0 unknown;
     index: (N,) their place in the memory."""
 
@@ -199,8 +198,7 @@ def in_view(reach: Floats, angle: Floats, settings: PlannerSettings) -> Bools:
     return (reach > BESIDE_M) & (reach < settings.view_range_m) & (angle < settings.view_half_angle_rad)
 
 
-@dataclass(frozen=True, slots=True)
-class Rows:
+class Rows(Value, frozen=True):
     """Which of N cones stand near enough to each other to be one border's, and which in a row. The last is no cone.
 
     whom: (N + 1, K) each cone's neighbours, N where there is none; beyond: (N + 1, K, K) whether a neighbour's own

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.pose import NO_PATH
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 BRAKING_DELAY_S = 0.3
 BLIND_MAX_M = 12.0  # driven by odometry alone where the way is known from the cones seen before
 CONES_MIN = 2  # in one look, that keep a way believed
 
 
-@dataclass(frozen=True, slots=True)
-class Course(Immutable):
+class Course(Value, frozen=True):
     """The way on from the car. Fields as in `Plan`, which carries them to the controller."""
 
     path_m: Floats  # (M, 2) vehicle frame

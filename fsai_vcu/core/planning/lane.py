@@ -11,7 +11,6 @@ Then the chain is moved to the middle between the borders and smoothed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -21,6 +20,7 @@ from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.planning.cone_memory import SURE_SIDE, Cones
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled, within
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.interface.values import Value
 
 Bools = NDArray[np.bool_]
 
@@ -53,8 +53,7 @@ BELIEVED_M = 10.0  # how far ahead at most an earlier middle is believed …
 BELIEVED_ASIDE_M, BELIEVED_COS = 1.0, 0.9  # … if the car is on it
 
 
-@dataclass(frozen=True, slots=True)
-class Lane:
+class Lane(Value, frozen=True):
     """The lane ahead. path_m: (M, 2) vehicle frame, from beside the car forward, empty when no lane was found;
     middle_m: the lane's middle from behind the car on; side: (N,) for each cone given, +1 surely on its left … -1
     surely on its right, 0 neither;
@@ -70,8 +69,7 @@ class Lane:
     note: str
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
+class Known(Value, frozen=True):
     """What is known before a look.
 
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
@@ -201,8 +199,7 @@ def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
     return confidence, "; ".join(notes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Begin:
+class _Begin(Value, frozen=True):
     """Where the search begins."""
 
     counted: Bools  # (N,) the cones beside the way up to there
@@ -213,8 +210,7 @@ class _Begin:
     along_m: float = 0.0  # of way from the car
 
 
-@dataclass(frozen=True, slots=True)
-class _Fan:
+class _Fan(Value, frozen=True):
     """The arcs that may follow each pose, and what does not depend on the pose."""
 
     bends: Floats  # (B,) 1/m

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
@@ -17,7 +18,6 @@ from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.immutable import replace
 from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:

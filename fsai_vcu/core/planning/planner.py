@@ -6,8 +6,6 @@ One strategy per family of missions: a lane found in the cones around the car (a
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.acceleration_strategy import AccelerationStrategy
@@ -20,7 +18,7 @@ from fsai_vcu.core.vehicle.odometry import motion_at
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
-COURSE_FIELDS = tuple(field.name for field in fields(Course))
+COURSE_FIELDS = Course.__struct_fields__
 
 
 class Planner:

@@ -8,7 +8,6 @@ moved by them. It is worked out in shares of some milliseconds.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled_ring, ring_curvature, to_vehicle
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.values import Value
 
 Bools = NDArray[np.bool_]
 
@@ -34,8 +34,7 @@ SMOOTHING_M = 1.5  # of the way driven
 BODY_BEHIND_M = 0.65  # of the rear axle
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RaceLine:
+class RaceLine(Value, frozen=True, eq=False):
     """A closed line for the rear axle. xy_m: (N, 2) map frame; cos, sin: (N,) of its direction; left_m, right_m: (N,)
     how far the car may be beside it with its margin kept."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
@@ -15,7 +16,6 @@ from fsai_vcu.core.planning.pose import NO_PATH, to_odometry
 from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.immutable import replace
 
 HORIZON_M = 70.0  # of the path handed on
 CLOSING_M = (10.0, 40.0)  # beyond the line: by then the lap's first cones are seen again, or are not

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
 from typing import Literal
 
-from fsai_vcu.interface.immutable import Immutable
+from msgspec.structs import replace
+
 from fsai_vcu.interface.specification import COMMS_LOST_NS, WHEEL_SPEED_MAX_RPM
 from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeConfig(Immutable):
+class BridgeConfig(Value, frozen=True):
     """How the AI side of one car behaves. A timer has run out *at* its value: T - 1 ns is still in time."""
 
     # Who may do what
@@ -75,10 +75,10 @@ class BridgeConfig(Immutable):
     def __post_init__(self) -> None:
         if self.service_brake not in ("hydraulic", "motor"):
             raise ValueError(f"service_brake is {self.service_brake!r}: hydraulic or motor")
-        for spec in fields(self):
-            value = getattr(self, spec.name)
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
             if isinstance(value, (int, float)) and (not math.isfinite(value) or value < 0):
-                raise ValueError(f"{spec.name} is {value}: a finite number of 0 or more")
+                raise ValueError(f"{name} is {value}: a finite number of 0 or more")
         for name in ("stop_brake_pct", "holding_brake_pct"):
             if getattr(self, name) > 100.0:
                 raise ValueError(f"{name} is {getattr(self, name)}: 100 at most")

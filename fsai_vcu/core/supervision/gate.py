@@ -25,7 +25,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec.structs import replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -35,7 +36,6 @@ from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of, pulses_per_s, turning
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.immutable import Immutable, replace
 from fsai_vcu.interface.messages import (
     AiCommand,
     VcuDriveFront,
@@ -47,6 +47,7 @@ from fsai_vcu.interface.messages import (
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_RPM_NM, MOTOR_SPEED_MAX_RPM
 from fsai_vcu.interface.units import KMH_PER_MPS
+from fsai_vcu.interface.values import Value
 
 LAPS_MAX, CONES_ACTUAL_MAX, CONES_ALL_MAX, SPEED_KMH_MAX = 15, 255, 65535, 255  # widths of the fields of 0x510
 
@@ -54,8 +55,7 @@ _LONGEST_STEP_NS = 20_000_000  # after a longer pause the steering does not jump
 _TINY = 1e-9  # so that 12.3 / 0.1 counts as 123
 
 
-@dataclass(frozen=True, slots=True)
-class GateConfig(Immutable):
+class GateConfig(Value, frozen=True):
     """The limits in force, each already the smallest of what revision, car, configuration and official allow."""
 
     bridge: BridgeConfig
@@ -89,8 +89,7 @@ def gate_config(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class GateState(Immutable):
+class GateState(Value, frozen=True):
     """What the gate remembers between cycles."""
 
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
@@ -157,8 +156,7 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
 # ---------------------------------------------------------------- one cycle
 
 
-@dataclass(frozen=True, slots=True)
-class Cycle(Immutable):
+class Cycle(Value, frozen=True):
     """What every step looks at. `command` is None unless it may be turned into values."""
 
     config: GateConfig
@@ -173,8 +171,7 @@ class Cycle(Immutable):
         return self.now_ns - t_rx_ns < self.config.bridge.feedback_stale_ns
 
 
-@dataclass(frozen=True, slots=True)
-class Request(Immutable):
+class Request(Value, frozen=True):
     """A cycle's command in the making, and why something was taken from it."""
 
     mission_status: MissionStatus

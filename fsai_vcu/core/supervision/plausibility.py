@@ -7,20 +7,20 @@ has been implausible, and the supervisor's table says what follows after how lon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec.structs import replace
 
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.immutable import Immutable, replace
 from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.values import Value
 
 WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
 
 # ---------------------------------------------------------------- steering
 
 
-@dataclass(frozen=True, slots=True)
-class SteeringCheck(Immutable):
+class SteeringCheck(Value, frozen=True):
     """A model of the steering actuator, fed with the requests that were sent.
 
     `pending` are requests (time, deg) that have not passed the dead time yet. Two actuators follow those that have, a
@@ -77,8 +77,7 @@ def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
 # ---------------------------------------------------------------- wheels
 
 
-@dataclass(frozen=True, slots=True)
-class WheelCheck(Immutable):
+class WheelCheck(Value, frozen=True):
     """Since when one wheel has not fitted the others, and until when slip explains what."""
 
     implausible_since_ns: int | None = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.supervisor import ROLES, Mode, Phase, Sequence, SupervisorState, acknowledged, vcu_lost
 from fsai_vcu.interface.enums import (
@@ -18,13 +16,12 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import VcuStatus, VehicleState
 from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class Circumstances(Immutable):
+class Circumstances(Value, frozen=True):
     """What the bridge itself knows besides the supervisor's state."""
 
     phase: Phase

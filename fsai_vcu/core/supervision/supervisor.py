@@ -25,17 +25,19 @@ controller reset for it. Each entry into AS_OFF, and each change of the AMI, beg
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum, IntEnum, auto
 from types import MappingProxyType
+
+from msgspec import field
+from msgspec.structs import replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.immutable import Immutable, replace
 from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.values import Value
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
 """Where a mode may be chosen and the AMI is followed."""
@@ -112,8 +114,7 @@ class Brake(Enum):
     SERVICE = auto()
 
 
-@dataclass(frozen=True, slots=True)
-class Output(Immutable):
+class Output(Value, frozen=True):
     """One row of the output table. `mission_status` None: SELECTED once the mission is acknowledged."""
 
     mission_status: MissionStatus | None
@@ -153,8 +154,7 @@ class Consequence(IntEnum):
     ESTOP = auto()  # ESTOP_REQUEST, latched
 
 
-@dataclass(frozen=True, slots=True)
-class Step(Immutable):
+class Step(Value, frozen=True):
     """After an age of `after` (the name of a time in BridgeConfig, None: at once), `consequence`."""
 
     after: str | None
@@ -227,8 +227,7 @@ STEERS_WHILE_STOPPING = frozenset(
 """Stops in which the planner is not what failed, nor the steering: a curve is better followed than left."""
 
 
-@dataclass(frozen=True, slots=True)
-class Latch(Immutable):
+class Latch(Value, frozen=True):
     """A stop or an emergency, with its cause and since when."""
 
     cause: Reason | Asked
@@ -244,8 +243,7 @@ class Latch(Immutable):
 # ---------------------------------------------------------------- state
 
 
-@dataclass(frozen=True, slots=True)
-class SupervisorState(Immutable):
+class SupervisorState(Value, frozen=True):
     """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
 
     # What 0x520 reported
@@ -290,8 +288,7 @@ class SupervisorState(Immutable):
         return self.as_state is AsState.AS_DRIVING
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs(Immutable):
+class Inputs(Value, frozen=True):
     """What a cycle sees besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
 
     now_ns: int
@@ -305,8 +302,7 @@ class Inputs(Immutable):
     speeds_doubt: str = ""  # why the newest 0x525 was not believed
 
 
-@dataclass(frozen=True, slots=True)
-class Decision(Immutable):
+class Decision(Value, frozen=True):
     """What this cycle is to say; the gate turns it into values. The default is safe."""
 
     phase: Phase = Phase.IDLE

@@ -8,14 +8,12 @@ while its count stands still. Counts that are missing, or start anew, contradict
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import WHEEL_NAMES
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
 from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.values import Value
 
 _PERIOD_NS = 10 * MS  # of 0x525 and 0x526: two frames may be read closer together than they were measured
 _COUNTS = 1 << 16  # interface specification v4.0: 16-bit counters that wrap
@@ -30,8 +28,7 @@ _LEVEL = (0.0, 0.0, 0.0, 0.0)
 # ---------------------------------------------------------------- pulses
 
 
-@dataclass(frozen=True, slots=True)
-class Pulses(Immutable):
+class Pulses(Value, frozen=True):
     """When the wheels' pulse counts last advanced. Times are of the monotonic clock, None: never."""
 
     counts: WheelCounts | None = None
@@ -83,8 +80,7 @@ NO_PULSES = Pulses()
 # ---------------------------------------------------------------- belief
 
 
-@dataclass(frozen=True, slots=True)
-class WheelBelief(Immutable):
+class WheelBelief(Value, frozen=True):
     """What is needed to believe the next frame of 0x525."""
 
     speeds: WheelSpeeds | None = None  # the last frame that was believed

@@ -13,17 +13,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+
+from msgspec.structs import replace
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.immutable import Immutable, replace
 from fsai_vcu.interface.messages import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.units import S
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class OdometrySettings(Immutable):
+class OdometrySettings(Value, frozen=True):
     """Times in ns, the rest in SI units unless the name says otherwise."""
 
     fresh_ns: int = 100_000_000  # an older message is not believed: ten cycles of the bus
@@ -49,8 +49,7 @@ class OdometrySettings(Immutable):
 SETTINGS = OdometrySettings()
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryState(Immutable):
+class OdometryState(Value, frozen=True):
     """Everything that dead reckoning remembers."""
 
     motion: Motion

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from fsai_vcu.interface.immutable import Immutable
+from msgspec.structs import replace
+
 from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_RPM_NM, GEAR_RATIO, MOTOR_SPEED_MAX_RPM
+from fsai_vcu.interface.values import Value
 
 GRAVITY_MPS2 = 9.81
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleParameters(Immutable):
+class VehicleParameters(Value, frozen=True):
     """Geometry, masses and actuators of one car. SI units unless the name says otherwise.
 
     The reference point is the rear axle's centre on the ground. Steering angles are those of the bicycle model.

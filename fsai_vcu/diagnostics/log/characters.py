@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
-import orjson
 
 _LONGEST: Final = 32  # no number has so many characters
 
@@ -63,7 +63,7 @@ def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Se
     """At least one number, each as `repr` writes it; `singly` writes the unusually large and small, and objects."""
     if numbers.dtype == np.object_:
         return texts_of(singly(numbers.tolist()))
-    text = bytes(_LONGEST) + orjson.dumps(numbers, option=orjson.OPT_SERIALIZE_NUMPY)
+    text = bytes(_LONGEST) + msgspec.json.encode(numbers.tolist())
     ends = np.append(np.flatnonzero(np.frombuffer(text, np.uint8) == ord(",")), len(text) - 1)
     lengths = np.diff(ends, prepend=_LONGEST) - 1
     width = int(lengths.max())

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 from fsai_vcu.core.command import VehicleCommand
@@ -24,7 +24,7 @@ AGE_MAX_S = _CONFIG.sensor_stale_ns / 1e9
 AHEAD_MAX_S = _CONFIG.sensor_future_ns / 1e9
 GAP_MAX_S = _CONFIG.command_stale_ns / 1e9
 _STEER_MAX_RAD = math.radians(30.0)  # where the car has not said its own
-_COMMANDED = [each.name for each in fields(VehicleCommand) if each.name != "t_sensor_ns"]
+_COMMANDED = [name for name in VehicleCommand.__struct_fields__ if name != "t_sensor_ns"]
 _ASKED = tuple(each.value for each in Asked)  # such a stop is in order
 
 

@@ -6,9 +6,10 @@ import argparse
 import json
 import sys
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import case_from_spec
 from fsai_hil.evidence.campaign.explain import ScenarioNarrator

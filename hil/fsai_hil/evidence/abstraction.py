@@ -12,9 +12,10 @@ states.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, Final, cast
+
+from msgspec.structs import replace
 
 from fsai_hil.rules.numbers import CYCLE_NS, S
 from fsai_hil.rules.seen import Parts, marks_of
@@ -28,7 +29,6 @@ from fsai_vcu.core.vehicle.odometry import standing_start
 from fsai_vcu.interface.codec import Decoded
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.immutable import replace
 from fsai_vcu.interface.messages import (
     Faults,
     Image,
@@ -107,8 +107,8 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
 
 
 def _parts(made: type[Any]) -> Parts:
-    names = [spec.name for spec in fields(made)]
-    return Parts(made, [name for name in names if name.endswith("_ns") and name not in _NO_TIMES], _OF_ITSELF)
+    times = [name for name in made.__struct_fields__ if name.endswith("_ns") and name not in _NO_TIMES]
+    return Parts(made, times, _OF_ITSELF)
 
 
 _SUPERVISOR, _GATE, _BRIDGE = map(_parts, (SupervisorState, GateState, BridgeState))
@@ -309,16 +309,15 @@ _REQUEST: Final = "SHUTDOWN_REQUEST rises"
 _BITS: Final[Mapping[str, str]] = {f"fault bit {name} rises": name for name in ("bms", "ebs")}
 _CAUSE: Final = "SHUTDOWN_CAUSE rises"
 MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)  # of those that `rules.seen.marks_of` knows
-_IDS: Final[Mapping[type[Image], int]] = {
+_IDS: Final[Mapping[type, int]] = {
     kind: can_id for can_id, kind in enumerate((VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds), 0x521)
 }
 
 
-@dataclass(frozen=True, slots=True)
-class CarFrame(Frame):
+class CarFrame(Frame, frozen=True):
     """A frame that carries its image along."""
 
-    decoded: Decoded = field(default_factory=lambda: Decoded(None))
+    decoded: Decoded = Decoded(None)
 
 
 class PlainCodec:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.verdict import judged
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.values import Value
 
 RIGHT_SHARE: Final = 0.95
 LOOK_NS: Final = 10 * MS
@@ -78,8 +78,7 @@ class _Log(list[Frame]):
         return _Log(self)
 
 
-@dataclass(frozen=True, slots=True)
-class Explained:
+class Explained(Value, frozen=True):
     """One log. `named`: the first cause of each incident; `expected`: what may be named first, "" for nothing; `also`:
     what may be named besides, as what the AI computer did before the car stopped itself.
     """

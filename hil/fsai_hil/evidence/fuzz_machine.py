@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from typing import Any, Final
 
 from hypothesis import strategies as st
@@ -130,7 +129,7 @@ def _happening(name: str = "", **arguments: st.SearchStrategy[Any]) -> Callable[
     status=st.one_of(
         _one_of({"as_switch": False}, {"ts_switch": False}, {"shutdown_request": True}, {"go_signal": False},
                 {"fault": True}),
-        st.sampled_from(fields(Faults)).map(lambda bit: {"faults": Faults(**{bit.name: True})}),
+        st.sampled_from(Faults.__struct_fields__).map(lambda bit: {"faults": Faults(**{bit: True})}),
         st.fixed_dictionaries({"shutdown_cause": st.sampled_from(ShutdownCause)}),
     ),
     cycles=_one_of(1, 2, 40),

@@ -11,11 +11,12 @@ import copy
 import math
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import cache
 from operator import methodcaller as call
 from types import MappingProxyType
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from fsai_hil.evidence.model import Setting, WatchedBridge
 from fsai_hil.rules.numbers import CYCLE_NS, DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS

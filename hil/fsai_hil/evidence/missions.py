@@ -14,10 +14,11 @@ import os
 import sys
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
+
+from msgspec.structs import asdict
 
 from fsai_hil.evidence.work import Record, digest, followed, spread
 from fsai_hil.simulator.judge import check_track
@@ -26,6 +27,7 @@ from fsai_hil.simulator.sensing import SensorSettings
 from fsai_hil.simulator.tracks import MISSION_TRACK, load_track
 from fsai_hil.simulator.world import WorldSetup, mission_named
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.values import Value
 
 MIDLINE: Final = "_midline"  # files beside a track that are none
 AUTOCROSS_TOO: Final = ("small_oval", "generated-SEED")
@@ -33,12 +35,11 @@ RECORD: Final = Path("out/missions/record.jsonl")
 LISTED: Final = 40  # failures
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
+class Condition(Value, frozen=True):
     """How the cones are seen."""
 
     what: str
-    sensor: SensorSettings = field(default_factory=SensorSettings)
+    sensor: SensorSettings = SensorSettings()
     threshold: float = CONFIDENCE_THRESHOLD  # of the detector
 
 
@@ -51,8 +52,7 @@ CONDITIONS: Final[Mapping[str, Condition]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
+class Case(Value, frozen=True):
     """One run."""
 
     mission: str

@@ -23,12 +23,15 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from itertools import chain
 from operator import attrgetter
 from typing import Any, Final, cast
+
+from msgspec import field
+from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import (
     CLOCKS,
@@ -59,9 +62,9 @@ from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.immutable import replace
 from fsai_vcu.interface.messages import AiCommand, AiImage, VcuDriveFront, VcuDriveRear, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.values import Value
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
 CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
@@ -74,8 +77,7 @@ BOTH: Final = frozenset(("planner", "controller"))
 _THIS_RUN, _OTHER_RUN = 0, -1
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
+class Ask(Value, frozen=True):
     """A command as the searched controller sends it."""
 
     fields: Mapping[str, Any]
@@ -106,8 +108,7 @@ COMMANDS: Final[Mapping[str, Ask]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(Value, frozen=True):
     """What the environment does in one cycle. The defaults: a car that is well and at rest, a planner that drives."""
 
     command: str = "drive"
@@ -136,7 +137,8 @@ class Choice:
     @property
     def words(self) -> str:
         """What is out of the ordinary in it, by the names above."""
-        chosen = {one.name: getattr(self, one.name) for one in fields(self) if getattr(self, one.name) != one.default}
+        given = zip(self.__struct_fields__, self.__struct_defaults__, strict=True)
+        chosen = {name: value for name, default in given if (value := getattr(self, name)) != default}
         return "; ".join(f"{name} {_plain(value)}" for name, value in chosen.items()) or "nothing out of the ordinary"
 
 
@@ -156,8 +158,7 @@ def _codec(revision_name: str) -> Codec:
     return Codec(revision(revision_name))
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(Value, frozen=True):
     """What is searched: the configuration of the AI side and the car at the other end."""
 
     config: BridgeConfig = field(default_factory=lambda: BridgeConfig(steer_rate_degps=1500.0))
@@ -324,8 +325,7 @@ State = tuple[Contents, tuple[int, ...]]
 Outcome = tuple[tuple[Contents, list[int]], tuple[Violation, ...], AiCommand | None]
 
 
-@dataclass(frozen=True, slots=True)
-class Scope:
+class Scope(Value, frozen=True):
     """A closed part of everything that can happen: a setting, and what the environment may do in it."""
 
     name: str

@@ -8,9 +8,10 @@ state visited is one that the car can be brought into.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from itertools import combinations, product
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import MARKS
 from fsai_hil.evidence.model import (
@@ -146,7 +147,7 @@ _OFF, _READY, _DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 def _says(state: AsState, **changes: object) -> Choice:
     """A VCU that says this AS state whatever came before; Go is on in AS_DRIVING, off before it."""
     choice = replace(_WELL, says=state, go=state not in (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY))
-    return replace(choice, **changes)  # type: ignore[arg-type]
+    return replace(choice, **changes)
 
 
 def _run(name: str = "run", setting: Setting | None = None, *, bounds_ns: Mapping[str, int] = BOUNDS_NS) -> Scope:

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fsai_hil.rules.seen import Violation
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
+class Move(Value, frozen=True):
     """One thing that can happen in a state. `label` numbers the environment's choice; `seen` describes the outcome."""
 
     label: int

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import astuple, dataclass, replace
 from functools import partial
 from inspect import signature
 from types import SimpleNamespace
 from typing import Any, Final
 from unittest.mock import patch
+
+from msgspec.structs import astuple, replace
 
 from fsai_hil.evidence.model import Composition, Setting
 from fsai_hil.evidence.scopes import scope
@@ -39,13 +40,13 @@ from fsai_vcu.core.supervision.supervisor import (
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.messages import VcuStatus
+from fsai_vcu.interface.values import Value
 
 Patches = tuple[tuple[Any, str, object], ...]
 """What another value stands for while a seed is in force: its owner, its name, and the value."""
 
 
-@dataclass(frozen=True, slots=True)
-class Seed:
+class Seed(Value, frozen=True):
     """One mistake: where to look for its harm, the rule it breaks, and how it is made.
 
     Without a scope it is for the fuzz alone: what the pulse counts say of a wheel speed is no part of the search.
@@ -82,7 +83,7 @@ def _first_step(reason: Reason) -> Patches:
 
 
 def _output(phase: Phase, **changes: object) -> Patches:
-    row = replace(OUTPUT[phase], **changes)  # type: ignore[arg-type]
+    row = replace(OUTPUT[phase], **changes)
     return ((supervisor, "OUTPUT", {**OUTPUT, phase: row}),)
 
 

@@ -23,10 +23,11 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_hil.simulator.tracks import Track, TrackError, TrackKind, load_track
 from fsai_vcu.core.arrays import Floats, Ints

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
+from msgspec import NODEFAULT, Struct
+from msgspec.structs import fields
+
 from fsai_hil.rules import numbers as n
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
+from fsai_vcu.interface.values import Value
 
 NOBODY: Final[frozenset[str]] = frozenset()
 
@@ -33,8 +36,7 @@ class Order(NamedTuple):
     estop: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Process:
+class Process(Value, frozen=True):
     """The process behind the frames, whose inputs are known: what the rules name of its configuration.
 
     `nothing_hidden`: what a plausibility check finds is known as well, so that every stop has its reason.
@@ -48,8 +50,7 @@ class Process:
     nothing_hidden: bool = False
 
 
-@dataclass(slots=True)
-class Seen:
+class Seen(Struct):
     """What has been seen on the bus and was asked by people, as a value: no part of it is ever changed in place.
 
     Times are ns; None: never. What the wheels report is in `Wheels`.
@@ -112,7 +113,7 @@ class Seen:
 
 
 class Parts:
-    """The fields of a dataclass apart: its times, and the others."""
+    """The fields of a value apart: its times, and the others."""
 
     def __init__(self, made: type[Any], times: Collection[str], without: Collection[str] = ()) -> None:
         """`times`: their names; `without`: of the fields that are left out."""
@@ -124,7 +125,7 @@ class Parts:
             attrgetter(*self.times) if len(self.times) > 1 else lambda value: (getattr(value, self.times[0]),)
         )
         self._names = (*self.others, *self.times)
-        self._never = [None if spec.default is MISSING else spec.default for spec in specs if spec.name in times]
+        self._never = [None if spec.default is NODEFAULT else spec.default for spec in specs if spec.name in times]
 
     def values(self, others: Sequence[object], times: Iterable[int | None]) -> dict[str, Any]:
         """Everything by its name, the next of the `times` by theirs; one that never was is as before it ever is."""
@@ -174,6 +175,6 @@ def _marks(as_switch: bool, ts_switch: bool, shutdown: bool, faults: Faults, cau
         "TS_SWITCH_STATUS falls": not ts_switch,
         "SHUTDOWN_REQUEST rises": shutdown,
         "SHUTDOWN_CAUSE rises": cause,
-        **{f"fault bit {name} rises": getattr(faults, name) for name in Faults.__dataclass_fields__},
+        **{f"fault bit {name} rises": getattr(faults, name) for name in Faults.__struct_fields__},
     }
     return frozenset(mark for mark, there in shown.items() if there)

@@ -164,7 +164,8 @@ class _Stage:
 
         self._run, self._views = run, views
         self._view_s = [view.t_s for view in views]
-        self._series = {name: np.array([getattr(s, name) for s in run.samples]) for name in PathSample.__slots__}
+        names = PathSample.__struct_fields__
+        self._series = {name: np.array([getattr(s, name) for s in run.samples]) for name in names}
         self._series["yaw_rad"] = np.unwrap(self._series["yaw_rad"])
         figure = Figure(figsize=SIZE_IN, dpi=DPI)
         self._canvas: Any = FigureCanvasAgg(figure)

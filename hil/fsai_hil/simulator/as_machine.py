@@ -12,18 +12,18 @@ Source: the vehicle's interface specification v4.0 and the documents of 2026.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any, Final
+
+from msgspec import Struct
 
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.enums import ShutdownCause as Cause
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.specification import READY_STEER_DEG, STANDING_RPM
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(slots=True)
-class Situation:
+class Situation(Struct):
     """What the state machine sees at one instant. The defaults are a car at rest with everything switched off."""
 
     # people
@@ -67,8 +67,7 @@ INIT, OFF, READY, DRIVING = AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY, A
 FINISHED, EMERGENCY = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE
 
 
-@dataclass(frozen=True, slots=True)
-class Fault(Immutable):
+class Fault(Value, frozen=True):
     """A fault bit of 0x520: what raises it, and the SHUTDOWN_CAUSE of the stop that it brings."""
 
     name: str  # a field of fsai_vcu.interface.messages.Faults
@@ -139,8 +138,7 @@ CAR_FAULTS: Final[tuple[Fault, ...]] = (
 _EBS_UNAVAILABLE: Final = Fault("ebs", Cause.EBS_FAULT, lambda s: not s.ebs_armed, "the EBS is not available any more")
 
 
-@dataclass(frozen=True, slots=True)
-class Row(Immutable):
+class Row(Value, frozen=True):
     """One transition. `fault` is set where it raises a fault bit; `reset` clears everything latched."""
 
     sources: tuple[AsState, ...]

@@ -19,7 +19,7 @@ from typing import Final, TypeVar
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 Coordinate = TypeVar("Coordinate", float, Floats)
 
@@ -56,8 +56,7 @@ ORIGIN_LATITUDE_DEG: Final = 52.0706
 ORIGIN_LONGITUDE_DEG: Final = -1.0174
 
 
-@dataclass(frozen=True, slots=True)
-class Pose(Immutable):
+class Pose(Value, frozen=True):
     """Where the rear axle's centre is in the world, and where the car points."""
 
     x_m: float = 0.0
@@ -76,8 +75,7 @@ class Pose(Immutable):
         return dx * c + dy * s, dy * c - dx * s
 
 
-@dataclass(frozen=True, slots=True)
-class CarTruth(Immutable):
+class CarTruth(Value, frozen=True):
     """The true state of the car at one instant."""
 
     t_ns: int

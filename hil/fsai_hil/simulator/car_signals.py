@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True)
-class CarFeedback(Immutable):
+class CarFeedback(Value, frozen=True):
     """What the VCU's sensors, and the PCAN-GPS, read of the car at one instant."""
 
     wheel_rpm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # FL FR RL RR, never negative
@@ -28,8 +25,7 @@ class CarFeedback(Immutable):
     course_deg: float = 0.0  # clockwise from north
 
 
-@dataclass(frozen=True, slots=True)
-class Actuation(Immutable):
+class Actuation(Value, frozen=True):
     """What the VCU orders from the car's actuators now."""
 
     steer_deg: float = 0.0

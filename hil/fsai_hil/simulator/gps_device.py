@@ -70,14 +70,14 @@ class PcanGps:
         self._payloads: dict[str, tuple[int, bytes]] = {}  # with their identifiers
 
     def frames(self, names: Iterable[str], now_ns: int, car: CarFeedback) -> list[Frame]:
-        payloads, of = self._payloads, Frame.of
+        payloads = self._payloads
         if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
             self._solved_ns = now_ns
             payloads |= self._solve(now_ns, car)
         if (felt := (car.accel_xyz_mps2, car.yaw_rate_radps)) != self._felt:
             self._felt = felt
             payloads |= self._feel(car)
-        return [of((*payloads[name], now_ns, False, False, False)) for name in names]
+        return [Frame(*payloads[name], now_ns) for name in names]
 
     def _feel(self, car: CarFeedback) -> dict[str, tuple[int, bytes]]:
         """The inertial messages."""

@@ -11,19 +11,20 @@ import contextlib
 import json
 import math
 import socket
-from dataclasses import asdict, dataclass, fields
-from typing import Final, Self
+from typing import Final, Self, get_type_hints
+
+from msgspec.structs import asdict
 
 from fsai_hil.simulator.car import Pose
+from fsai_vcu.interface.values import Value
 
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 25_510
 MOST_BYTES: Final = 4096
-_TYPES: Final = {"int": (int,), "float": (int, float), "str": (str,)}
+_TYPES: Final = {int: (int,), float: (int, float), str: (str,)}
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(Value, frozen=True):
     """The car at one instant. The pose is the rear axle's in the world's frame, the track's own.
 
     `t_ns` is CLOCK_MONOTONIC of the simulating machine (virtual time in lockstep), `track` what `load_track` takes.
@@ -57,10 +58,10 @@ def unpack(datagram: bytes) -> Truth:
         truth = Truth(**json.loads(datagram))
     except (TypeError, ValueError) as error:
         raise ValueError(f"not a ground-truth datagram: {error}") from None
-    for field in fields(Truth):
-        value = getattr(truth, field.name)
-        if type(value) not in _TYPES[str(field.type)] or (isinstance(value, float) and not math.isfinite(value)):
-            raise ValueError(f"not a ground-truth datagram: {field.name} is {value!r}")
+    for name, kind in get_type_hints(Truth).items():
+        value = getattr(truth, name)
+        if type(value) not in _TYPES[kind] or (isinstance(value, float) and not math.isfinite(value)):
+            raise ValueError(f"not a ground-truth datagram: {name} is {value!r}")
     return truth
 
 

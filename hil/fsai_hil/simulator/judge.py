@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from msgspec.structs import asdict
 
 from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.tracks.layout import (
@@ -31,9 +31,9 @@ from fsai_hil.simulator.tracks.layout import (
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import KMH_PER_MPS, S
+from fsai_vcu.interface.values import Value
 
 STILL_M: Final = 0.10  # a car that must not move may settle by this much
 ROUNDING_M: Final = 1e-6
@@ -53,8 +53,7 @@ DEMO_SWEEP_DEG: Final = 10.0
 LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is not racing
 
 
-@dataclass(frozen=True, slots=True)
-class JudgeVerdict(Immutable):
+class JudgeVerdict(Value, frozen=True):
     """What the judge reports at the end, or would report if the run ended now. Times in s since the world began."""
 
     mission: str
@@ -427,8 +426,7 @@ class _DemoReferee(_StandReferee):
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Criteria(Immutable):
+class _Criteria(Value, frozen=True):
     """How one mission is judged."""
 
     referee: type[_Referee]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
+
+from msgspec.structs import replace
 
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.simulator.ai_computer import OnboardComputer
@@ -23,6 +24,7 @@ from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import S
+from fsai_vcu.interface.values import Value
 
 STEP_NS = 1_000_000  # the bus is looked at every millisecond
 CONE_PERIOD_NS = 50_000_000  # 20 Hz, as a camera or lidar pipeline
@@ -31,8 +33,7 @@ PROGRESS_PERIOD_NS = 500_000_000
 RUNS_OF_A_PROCESS = 1_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class LockstepResult:
+class LockstepResult(Value, frozen=True):
     """A run in lockstep: what the judge saw, what the wire showed, what the bridge reported at the end."""
 
     verdict: JudgeVerdict

@@ -8,7 +8,6 @@ been seen. Scripts are data, not running code, so that a run can be copied in th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -16,8 +15,8 @@ from fsai_hil.simulator.power import POWER_UP, PowerUp
 from fsai_hil.simulator.switches import Assi, Switches
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.values import Value
 
 HAND_NS: Final = 300 * MS  # from one switch to the next
 REACTION_NS: Final = 500 * MS  # from seeing to doing
@@ -30,8 +29,7 @@ READY_FOR_GO: Final = frozenset({Assi.YELLOW_AND_BLUE, Assi.BLUE_FLASHING})
 ENDED: Final = frozenset({Assi.BLUE, Assi.BLUE_FLASHING, Assi.OFF})
 
 
-@dataclass(frozen=True, slots=True)
-class Await(Immutable):
+class Await(Value, frozen=True):
     """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on unseen instead."""
 
     what: str

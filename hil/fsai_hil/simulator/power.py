@@ -6,14 +6,13 @@ The two subsystems are small machines over time: given what they need, they take
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, Final
 
 from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, TsState
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.values import Value
 
 
 class SystemState(IntEnum):
@@ -36,8 +35,7 @@ class SystemAction(IntEnum):
     SHUTDOWN = 4
 
 
-@dataclass(frozen=True, slots=True)
-class PowerUp(Immutable):
+class PowerUp(Value, frozen=True):
     """What differs between the cars of two interface revisions while they are switched on and off."""
 
     first_state: AsState

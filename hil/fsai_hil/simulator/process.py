@@ -17,10 +17,11 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TextIO
+
+from msgspec.structs import asdict, replace
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.ground_truth import TruthSender

@@ -6,16 +6,14 @@ A profile is a list of named differences. The defaults are the interface specifi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.specification import COMMS_LOST_NS, EMERGENCY_TIMER_NS, READY_WAIT_NS
+from fsai_vcu.interface.values import Value
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Profile(Immutable):
+class Profile(Value, frozen=True, kw_only=True):
     """One way in which a VCU behaves. Each field is a difference that somebody can meet."""
 
     name: str

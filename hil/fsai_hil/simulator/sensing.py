@@ -8,7 +8,6 @@ Deterministic for a seed and a sequence of calls.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -17,13 +16,12 @@ from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.tracks import Track
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 COLOURED: Final = np.array([ConeColor.BLUE, ConeColor.YELLOW, ConeColor.ORANGE, ConeColor.BIG_ORANGE], dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class SensorSettings(Immutable):
+class SensorSettings(Value, frozen=True):
     """How good the sensor is. All imperfections scale with `noise_level`; 0 is a perfect sensor."""
 
     range_m: float = 14.0

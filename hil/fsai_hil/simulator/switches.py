@@ -5,16 +5,16 @@ Source: the vehicle's interface specification v4.0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Final
+
+from msgspec import Struct
 
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import S
 
 
-@dataclass(slots=True)
-class Switches:
+class Switches(Struct):
     """The switch panel, the remote and the wiring, as they are now. The VCU looks at them in each step.
 
     The defaults are the car as it is wheeled in: everything off, nothing broken.
@@ -54,7 +54,7 @@ class Switches:
     steer_limit_deg: float | None = None
 
 
-SWITCH_NAMES: Final = tuple(field.name for field in fields(Switches))
+SWITCH_NAMES: Final = Switches.__struct_fields__
 
 
 class Assi(StrEnum):

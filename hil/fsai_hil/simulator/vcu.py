@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter, itemgetter
@@ -52,7 +51,6 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import (
     FAULT_NAMES,
     AiBrake,
@@ -78,14 +76,14 @@ from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, WHEEL_SPEED_MAX_RPM
 from fsai_vcu.interface.units import KMH_PER_MPS, MS
+from fsai_vcu.interface.values import Value
 
 REMOTE: Final = BY_NAME["RES_TPDO"]  # of the remote E-stop's receiver on the car
 # Each device hands its frames to the bus at once, and the bus puts them one behind the other.
 GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames; the remote's receiver too
 
 
-@dataclass(frozen=True, slots=True)
-class Transition(Immutable):
+class Transition(Value, frozen=True):
     """One change of the AS state and what brought it about."""
 
     t_ns: int
@@ -677,7 +675,7 @@ BUILDERS: Final[Mapping[str, Callable[[SimulatedVcu, int], Image]]] = MappingPro
 )
 
 SEEN_OF_THE_SWITCHES: Final = tuple(
-    field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
+    name for name in Situation.__struct_fields__ if name in SWITCH_NAMES and name != "go"
 )
 
 _seen_of: Final = attrgetter(*SEEN_OF_THE_SWITCHES)

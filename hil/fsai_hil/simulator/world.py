@@ -7,8 +7,10 @@ process on a bus. Deterministic: the same setup and the same frames at the same 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.car import Car, CarTruth
@@ -25,8 +27,8 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.interface.values import Value
 
 STEP_NS: Final = 2_000_000  # the grid on which the VCU looks and the car moves on
 LOOK_NS: Final = 10_000_000  # judge and operator
@@ -34,8 +36,7 @@ SAMPLE_NS: Final = 50_000_000  # what is kept for the plot
 STATIC_INSPECTIONS: Final = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldSetup:
+class WorldSetup(Value, frozen=True, kw_only=True):
     """What a world is made of. The defaults drive one mission on its own built-in track, by themselves.
 
     `missions` are driven one after another without a restart of anything; the first decides what `track` must be, and
@@ -50,7 +51,7 @@ class WorldSetup:
     laps: int | None = None  # of a trackdrive; None: ten
     auto: bool = True  # somebody walks the switches; else nobody does
     noise_level: float = 1.0
-    sensor: SensorSettings = field(default_factory=SensorSettings)  # its noise level is the one above
+    sensor: SensorSettings = SensorSettings()  # its noise level is the one above
     start_timeout_s: float = 120.0  # until AS_DRIVING, where somebody walks the switches
     gps: bool = True
     gps_decimation: int = 1
@@ -58,8 +59,7 @@ class WorldSetup:
     start_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class PathSample(Immutable):
+class PathSample(Value, frozen=True):
     """One point of the driven path: the car, and what the VCU orders of its actuators."""
 
     t_s: float

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
 from enum import IntEnum
 
 import numpy as np
@@ -16,6 +15,7 @@ from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, RunState
 from fsai_msgs.msg import VehicleCommand as VehicleCommandMsg
 from fsai_msgs.msg import VehicleState as VehicleStateMsg
 from geometry_msgs.msg import PoseStamped
+from msgspec.structs import fields
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleState
+from msgspec.structs import replace
 from nav_msgs.msg import Path
 from rclpy.node import Node
 

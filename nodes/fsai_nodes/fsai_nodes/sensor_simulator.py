@@ -6,10 +6,10 @@ channel (UDP on this machine's loopback) that no other node reads.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 from fsai_msgs.msg import ConeArray
+from msgspec.structs import replace
 from rclpy.node import Node
 
 from fsai_hil.simulator.ground_truth import DEFAULT_PORT, Truth, TruthReceiver

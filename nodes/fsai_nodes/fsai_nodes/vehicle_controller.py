@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
 
 from fsai_msgs.msg import PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
+from msgspec.structs import replace
 from nav_msgs.msg import Path
 from rclpy.node import Node
 

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
 
+from msgspec import field
+
 from fsai_hil.evidence.campaign.catalogue import EVERY_MISSION, ROWS, Draw, FaultKind, kind_named
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.values import Value
 
 WORLD_SEEDS: Final = 3  # cone noise and the rest of a run's chance; the campaign's variety lies in the faults
 CHANCES: Final = 100_000
@@ -68,8 +70,7 @@ FULL_LENGTH: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
+class Case(Value, frozen=True):
     """One run of the campaign. Times in ms."""
 
     fault: str
@@ -113,8 +114,7 @@ class Case:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignPlan:
+class CampaignPlan(Value, frozen=True):
     """A campaign: how many cases, and of which part of the catalogue. Its cases follow from it and their index.
 
     Asking for them raises ValueError for an unknown name or an empty choice.

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign import demands as d
 from fsai_hil.evidence.campaign import injections as i
@@ -23,6 +24,7 @@ from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.values import Value
 
 PATH_MISSIONS: Final = frozenset({Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE})
 ROAD_MISSIONS: Final = PATH_MISSIONS | {Ami.AUTONOMOUS_DEMO}
@@ -74,8 +76,7 @@ class Draw:
 lasts = partial(Draw, "duration")  # how long, in ms
 
 
-@dataclass(frozen=True, slots=True)
-class FaultKind:
+class FaultKind(Value, frozen=True):
     """One row. Without a drawn `duration` the fault lasts."""
 
     name: str
@@ -93,8 +94,7 @@ class FaultKind:
         return "; ".join(str(draw) for draw in self.draws)
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(Value, frozen=True):
     """The beginning of a row: its name, and what it is."""
 
     name: str
@@ -166,7 +166,7 @@ OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "switches": {"as_switch": False, "ts_switch": False},
         "shutdown_request": {"shutdown_request": True},
-        "faults": {"faults": Faults(*(True for _ in fields(Faults)))},
+        "faults": {"faults": Faults(*(True for _ in Faults.__struct_fields__))},
         "cause": {"shutdown_cause": ShutdownCause.AI_COMMS_FAULT},
     }
 )

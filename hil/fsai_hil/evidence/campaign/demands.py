@@ -7,12 +7,12 @@ them; what an observer may measure on top of them is `SLACK_MS`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Final
 
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.numbers import MS
+from fsai_vcu.interface.values import Value
 
 Params = Mapping[str, Any]  # what was drawn for a fault, by name
 
@@ -58,8 +58,7 @@ class Onset(Enum):
     COUNTS = "a wheel speed and its pulse count surely contradicting each other"
 
 
-@dataclass(frozen=True, slots=True)
-class Demand:
+class Demand(Value, frozen=True):
     """What must follow. A time of None is not limited by the rules.
 
     `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (for good where the run must
@@ -76,7 +75,7 @@ class Demand:
     safe_ms: float | None = None
     onset: Onset = Onset.FAULT
     own_word: bool = True
-    note: str = field(default="", compare=False)
+    note: str = ""
 
     def demand(self, p: Params) -> Demand:
         """The same whatever was drawn."""
@@ -145,8 +144,7 @@ def implausible(
     return Demand(allowed, brake_ms=brake_ms + SLACK_MS, estop_ms=estop_ms + SLACK_MS, onset=onset, note=note)
 
 
-@dataclass(frozen=True, slots=True)
-class Graded:
+class Graded(Value, frozen=True):
     """What the age demands that the parameter `of` makes of a message: from each of `steps` (age in ms) on another;
     below the first, nothing."""
 
@@ -162,8 +160,7 @@ class Graded:
         return "; ".join((first[1].demanded, *(f"from {ms:g} ms on: {demand.demanded}" for ms, demand in later)))
 
 
-@dataclass(frozen=True, slots=True)
-class Computed:
+class Computed(Value, frozen=True):
     """What a kind of fault demands as a function of what was drawn, and that in words."""
 
     demanded: str

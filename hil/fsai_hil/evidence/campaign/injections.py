@@ -13,11 +13,11 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.demands import Params
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
@@ -41,6 +41,7 @@ from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.values import Value
 
 
 class Ongoing:
@@ -65,8 +66,7 @@ Ids = frozenset[int]
 Injection = Callable[[Ongoing, Lockstep, Params, int], object]
 
 
-@dataclass(frozen=True, slots=True)
-class At:
+class At(Value, frozen=True):
     """An instant of a fault under way: its parameters, its chance, when, and what it keeps from one to the next."""
 
     p: Params

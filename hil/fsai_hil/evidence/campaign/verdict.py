@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any, Final
+
+from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.demands import ANY, IMPLAUSIBLE_LOST_MS, NOTHING, Demand, End, Onset
@@ -20,6 +21,7 @@ from fsai_hil.rules.bus_view import IDLE
 from fsai_hil.rules.numbers import LAUNCH_NS, MS
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.values import Value
 
 SUPERVISED_MS: Final = LAUNCH_NS // MS  # safety rules: supervision starts 3 s into AS_DRIVING
 REACTION: Final[Mapping[End, str]] = {
@@ -33,8 +35,7 @@ REACTION: Final[Mapping[End, str]] = {
 STREAKS: Final = {Onset.STEERING: steering_streaks, Onset.COUNTS: count_streaks, Onset.WHEEL: wheel_streaks}
 
 
-@dataclass(frozen=True, slots=True)
-class CaseVerdict:
+class CaseVerdict(Value, frozen=True):
     """`faults` is empty when the run is as the rules demand. Times in ms from the fault; None: there was none."""
 
     end: End
@@ -56,8 +57,7 @@ def _supervised(case: Case) -> bool:
     return case.since is Since.DRIVING and case.after_ms >= SUPERVISED_MS
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
+class _Seen(Value, frozen=True):
     """The instants that matter, from the fault on; None: never."""
 
     estop_ns: int | None
@@ -117,7 +117,7 @@ def judge(
             wrong += _implausible_too_long(seen, found, demand, streaks)
     elif end is End.UNSAFE:
         wrong.append(end.value)
-    if applies and demand == NOTHING and seen.left_course:
+    if applies and replace(demand, note="") == NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
     return CaseVerdict(end, reaction, _ms(reaction_ns, onset_ns), _ms(safe_ns, onset_ns), applies, tuple(wrong))
 

@@ -13,9 +13,10 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from types import CodeType
 from typing import Any, Final
+
+from fsai_vcu.interface.values import Value
 
 Key = tuple[str, str, str, int]
 """What stays the same when lines above a mutant come and go: the module's last name and the function or class it is in,
@@ -35,8 +36,7 @@ _FIELDS_LEFT_ALONE: Final = {"annotation", "target", "targets", "returns", "deco
 _SHOWN: Final = 180  # characters
 
 
-@dataclass(frozen=True, slots=True)
-class Mutant:
+class Mutant(Value, frozen=True):
     """One mistake in one module."""
 
     module: str  # dotted

@@ -15,8 +15,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from fsai_hil import CHECKOUT
 from fsai_hil.rehearsal.bus_watch import CODEC, HOUR_NS

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from msgspec.structs import replace
+
 from fsai_hil.rehearsal.inspection.items import ITEMS, Item
 from fsai_hil.rehearsal.inspection.judge import InspectionJudge, Result
 from fsai_hil.rehearsal.inspection.scenes import END_S, PATTERN, SCENES, Scene
@@ -19,7 +21,6 @@ from fsai_hil.simulator.profiles import SPECIFICATION
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.interface.enums import Ami, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.immutable import replace
 from fsai_vcu.interface.reserved import STATUS_ID
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import S

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from fsai_hil.simulator.tracks.built_in import BUILT_IN as BUILT_IN
 from fsai_hil.simulator.tracks.built_in import MISSION_TRACK as MISSION_TRACK

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
@@ -18,7 +17,7 @@ import numpy as np
 from fsai_hil.simulator.tracks.built_in import circuit_from
 from fsai_hil.simulator.tracks.layout import Track, closest_m
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 STRAIGHT_MAX_M: Final = 80.0
 TURN_DIAMETER_MAX_M: Final = 50.0  # outside, as all diameters of the rules
@@ -31,8 +30,7 @@ STEP_M: Final = 0.25
 Arc = tuple[float, float]  # its length, m, and its curvature, 1/m, left positive
 
 
-@dataclass(frozen=True, slots=True)
-class Style(Immutable):
+class Style(Value, frozen=True):
     """What a circuit is made of."""
 
     lane_m: tuple[float, float]

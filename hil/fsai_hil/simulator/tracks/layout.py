@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
 from fsai_vcu.core.arrays import Floats, Ints
@@ -16,7 +16,7 @@ from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.values import Value
 
 Point = tuple[float, float]
 
@@ -56,8 +56,7 @@ class TrackKind(Enum):
 Rings = tuple[tuple[Point, ...], ...]
 
 
-@dataclass(frozen=True)
-class Track(Immutable):
+class Track(Value, frozen=True):
     """A laid-out track. Arrays must not be written to.
 
     `lane` is the drivable area: a union of shapes, each made of rings whose insides cancel (a ring-shaped lane is two).
@@ -77,7 +76,7 @@ class Track(Immutable):
     left_border_m: Floats | None = None
     right_border_m: Floats | None = None
     lane: tuple[Rings, ...] = ()
-    source: str = field(default="", compare=False)  # the file or the name from which load_track makes it again
+    source: str = ""  # the file or the name from which load_track makes it again
 
     @property
     def length_m(self) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import replace
 from itertools import groupby
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.tracks.built_in import skidpad_track
