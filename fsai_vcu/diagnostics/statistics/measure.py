@@ -473,7 +473,7 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
         count, kinds = sum(bus.error_frames.values()), len(bus.error_frames)
         which = (words if kinds == 1 else f"{n} {words}" for words, n in bus.error_frames.items())
         yield _finding(True, "error-frames", f"{count} error frame{'s' * (count > 1)}: {'; '.join(which)}")
-    absent = []
+    absent: dict[str, list[str]] = {}
     for layout in bus.missing:
         own = BY_ID.get(layout.can_id)
         name = _name(layout.can_id, layout.name, layout.extended)
@@ -481,9 +481,14 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
         if own is not None and ours and own.timeout_ns is not None:
             yield _finding(True, "missing", f"{name} was never received", layout.can_id)
         else:
-            absent.append(name)
+            absent.setdefault(", ".join(layout.senders), []).append(name)
     if absent:
-        yield _finding(False, "missing", f"never received: {', '.join(absent)}")
+        # Boxes that are not on this bus have many messages; their names are worth a line, and no list.
+        words = (
+            f"{len(names)} messages of {sender}" if sender and len(names) > 1 else ", ".join(names)
+            for sender, names in absent.items()
+        )
+        yield _finding(False, "missing", f"never received: {', '.join(words)}")
     if bus.peak_load > _HIGH_LOAD:
         busiest = f"{bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
         yield _finding(False, "load", f"bus load {bus.load:.1%}, and {busiest}")

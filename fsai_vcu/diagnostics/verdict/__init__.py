@@ -45,6 +45,7 @@ from fsai_vcu.diagnostics.statistics.measure import (
     judge,
     measure,
 )
+from fsai_vcu.diagnostics.verdict.ai_side import mistakes
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -59,6 +60,8 @@ MOST_NAMED: Final = 8
 LOSSY: Final = 5  # messages that miss frames again and again
 LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
 UNREAD: Final = "not everything could be read"
+NOT_SAID: Final[frozenset[str]] = frozenset()
+SAID_BY: Final = dict.fromkeys(("one-call", "torque-brake"), frozenset({"torque_with_brake"}))  # a mistake, by a cause
 NO_ECHO: Final = frozenset({"ai_silent", "bus_lost", "handshake_lost", "vcu_hung"})  # in which a handshake is lost too
 SHORT_NS: Final = 1 * S
 WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
@@ -254,6 +257,8 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
         ]
     if not cars:
         findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
+        blamed = {incident.candidates[0].slug for incident in explanation.incidents}
+        findings += [one for one in mistakes(whole, part_ns) if not blamed & SAID_BY.get(one.kind, NOT_SAID)]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     unknown = (*_unknown(record), *_perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
     return Verdict(whole.begin_ns, explanation, tuple(findings), unknown)

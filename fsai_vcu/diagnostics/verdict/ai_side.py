@@ -1,0 +1,147 @@
+"""What an AI side did wrong that the car bore, whatever stack it is: mistakes that cost teams their event.
+
+Each looks at AS_DRIVING alone, and is said once, with its first moment. What stopped the car is an incident's cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.incident import TimeRange
+from fsai_vcu.diagnostics.explain.record import Record, Series
+from fsai_vcu.diagnostics.log.frames import Ints, Mask
+from fsai_vcu.diagnostics.statistics.measure import Finding
+from fsai_vcu.interface.enums import MissionStatus
+from fsai_vcu.interface.specification import PERIOD_NS
+from fsai_vcu.interface.units import MS, S
+
+ENOUGH: Final = 50  # frames: half a second of one thing
+WANTED_DEG: Final = 3.0
+WENT_DEG: Final = 1.0  # more than its backlash
+FOLLOWS_NS: Final = 150 * MS  # in which the steering has begun to follow
+NEARLY_ALL: Final = 0.9
+SAYS_NS: Final = 1 * S
+TOGETHER_NS: Final = 5 * PERIOD_NS  # a frame that the recording lost makes them meet for one or two
+_TORQUES: Final = (sig.TORQUE_F, sig.TORQUE_R)
+_BRAKES: Final = (sig.BRAKE_REQ_F, sig.BRAKE_REQ_R)
+_AXLES: Final = (
+    (0x511, sig.TORQUE_F, sig.CAR_TORQUE_MAX[0]),
+    (0x512, sig.TORQUE_R, sig.CAR_TORQUE_MAX[1]),
+)
+
+
+def mistakes(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    """Of the AI side, in that part of the log."""
+    yield from _steering_swapped(record, part_ns)
+    yield from _wrong_axle(record, part_ns)
+    yield from _never_running(record, part_ns)
+    yield from _torque_with_brake(record, part_ns)
+
+
+def _problem(record: Record, kind: str, text: str, t_ns: int, remedy: str, *can_ids: int) -> Finding:
+    return Finding("problem", kind, text, t_ns, remedy, can_ids, record.channel)
+
+
+def _driving(record: Record, times: Ints, part_ns: TimeRange) -> Mask:
+    within: Mask = (times >= part_ns[0]) & (times <= part_ns[1])
+    driving: Mask = within & (record.series(sig.AS_STATE).sampled(times) == sig.DRIVING)
+    return driving
+
+
+def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    measured, asked = record.series(sig.ANGLE), record.series(sig.STEER)
+    if not len(measured) or not len(asked):
+        return
+    times, angle = measured.t_ns, measured.values
+    then_ns = times - FOLLOWS_NS
+    wanted = asked.sampled(then_ns) - measured.sampled(then_ns)  # which way it had to go, and how far
+    went = angle - measured.sampled(then_ns)
+    rows = _driving(record, times, part_ns) & (np.abs(wanted) >= WANTED_DEG) & (np.abs(went) >= WENT_DEG)
+    against = rows & (wanted * went < 0.0)
+    if against.sum() < ENOUGH or against.sum() < NEARLY_ALL * rows.sum():
+        return
+    first = int(np.flatnonzero(against)[0])
+    text = (
+        f"the steering turns the other way than asked: STEER_REQUEST {asked.sampled(then_ns)[first]:.1f} deg, and ANGLE"
+        f" goes from {angle[first] - went[first]:.1f} to {angle[first]:.1f} deg; so {against.sum() / rows.sum():.0%} of"
+        " the time"
+    )
+    remedy = "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523"
+    yield _problem(record, "steering-sign", text, int(times[first]), remedy, 0x513, 0x523)
+
+
+def _wrong_axle(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    for (can_id, asked_of, most_of), (_, others_asked, others_most) in (_AXLES, _AXLES[::-1]):
+        asked, most = record.series(asked_of), record.series(most_of)
+        if not len(asked) or not len(most) or not len(record.series(others_most)):
+            continue
+        times = asked.t_ns
+        rows = _driving(record, times, part_ns) & (asked.values > 0.0) & (most.sampled(times) == 0.0)
+        rows &= record.series(others_most).sampled(times) > 0.0
+        if rows.sum() < ENOUGH:
+            continue
+        first, lost = int(np.flatnonzero(rows)[0]), float(asked.values[rows].sum())
+        share = lost / (lost + float(record.series(others_asked).sampled(times)[rows].sum()))
+        half = ", as of a stack that halves it between two axles" if 0.4 < share < 0.6 else ""
+        text = (
+            f"{share:.0%} of the torque is asked of an axle that has none to give ({asked_of.name}"
+            f" {asked.values[first]:.1f} Nm, {most_of.name} 0){half}"
+        )
+        remedy = "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0"
+        yield _problem(record, "axle", text, int(times[first]), remedy, can_id)
+
+
+def _never_running(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    said = record.series(sig.MISSION_STATUS)
+    for span in record.series(sig.AS_STATE).spans.of(sig.DRIVING):
+        begin_ns, end_ns = int(max(span.begin_ns, part_ns[0])), int(min(span.end_ns, part_ns[1]))
+        heard = said.between(begin_ns, end_ns)
+        if end_ns - begin_ns < SAYS_NS or len(heard) < ENOUGH:
+            continue
+        if np.isin(heard.values, (MissionStatus.RUNNING, MissionStatus.FINISHED)).any():
+            continue
+        words = sig.label(sig.MISSION_STATUS, float(heard.values[-1]))
+        text = f"MISSION_STATUS never becomes RUNNING in AS_DRIVING: it stays {words}"
+        remedy = "say RUNNING as soon as AS_STATE is AS_DRIVING, and not before"
+        yield _problem(record, "never-running", text, begin_ns, remedy, 0x510)
+        return
+
+
+def _torque_with_brake(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    """As the VCU receives them one after another, frame by frame."""
+    torques, brakes = ([*map(record.series, pair)] for pair in (_TORQUES, _BRAKES))
+    times = np.unique(np.concatenate([series.t_ns for series in (*torques, *brakes)]))
+    if not len(times):
+        return
+    both = _most(torques, times) * _most(brakes, times) > 0.0
+    both &= _driving(record, times, part_ns)
+    begins = np.flatnonzero(both & ~np.append(False, both[:-1]))
+    ends = np.flatnonzero(~both & np.append(False, both[:-1]))
+    ends = np.append(ends, len(times) - 1)[: len(begins)]
+    lasted_ns = times[ends] - times[begins]
+    for kind, which in (("one-call", lasted_ns < PERIOD_NS - MS), ("torque-brake", lasted_ns >= TOGETHER_NS)):
+        rows = np.flatnonzero(which)
+        if not len(rows):
+            continue
+        first = int(times[begins[rows[0]]])
+        often = "once" if len(rows) == 1 else f"{len(rows)} times"
+        if kind == "one-call":
+            text = (
+                f"torque and brake change in one call, {often}: the VCU receives 0x511 and 0x512 before 0x514, and both"
+                f" are there for up to {lasted_ns[rows].max() / MS:.1f} ms; whether it judges by the frame is"
+                " published nowhere"
+            )
+        else:
+            text = f"torque and brake are asked for together, {often}, for up to {lasted_ns[rows].max() / MS:.0f} ms"
+        remedy = "send a whole cycle with both at zero between torque and brake, either way"
+        yield _problem(record, kind, text, first, remedy, 0x511, 0x512, 0x514)
+
+
+def _most(of: list[Series], times: Ints) -> np.ndarray:
+    """The greater of two signals at each of these times, 0 before the first frame."""
+    found = [np.where(times >= (each.t_ns[0] if len(each) else times[-1] + 1), each.sampled(times), 0.0) for each in of]
+    return np.maximum(*found)

@@ -1,0 +1,121 @@
+"""What `check` and `explain` say of logs of other stacks: each mistake by its name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from c_node import CNode, compiled
+
+from fsai_hil.rehearsal.inspection.judge import items_named
+from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.verdict import Verdict, judged
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS, S
+
+CYCLE_NS = 10 * MS
+PHASE_NS = 4 * MS
+ON_THE_BUS_NS = 200_000  # from one frame to the next
+Change = Callable[[Frame], Frame]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    try:
+        return compiled(tmp_path_factory.mktemp("c"), "-shared", "-fPIC")
+    except FileNotFoundError:
+        pytest.skip("the C program of the examples needs a C compiler (cc)")
+
+
+def verdict_on(
+    node: CNode,
+    item: str,
+    *,
+    change: Change = lambda frame: frame,
+    seconds: float = 60.0,
+    **options: object,
+) -> Verdict:
+    """Of the log of a rehearsal of that item. change: what the log has instead of a frame."""
+    rehearsal = Rehearsal(items_named([item]), gps=False, **options)  # type: ignore[arg-type]
+    now_ns, log = PHASE_NS, list[Frame]()
+    while not rehearsal.done and now_ns < seconds * S:
+        now_ns += CYCLE_NS
+        frames = rehearsal.advance(now_ns)
+        log += frames
+        for number, frame in enumerate(node.cycle(frames, now_ns)):
+            sent = Frame(frame.can_id, frame.data, now_ns + number * ON_THE_BUS_NS)
+            rehearsal.on_frame(sent)
+            log.append(sent)
+    log.sort(key=lambda frame: frame.t_ns)
+    changed = map(change, log)
+    return judged(
+        frames_of([LogFrame(frame.t_ns, "can0", frame.can_id, frame.data) for frame in changed]), "2026"
+    ).verdict
+
+
+def said(verdict: Verdict) -> str:
+    return "\n".join(f"{one.severity}: {one.text}" for one in verdict.findings)
+
+
+def negated_angle(frame: Frame) -> Frame:
+    if frame.can_id != 0x523:
+        return frame
+    angle = -int.from_bytes(frame.data[:2], "little", signed=True)
+    return Frame(frame.can_id, angle.to_bytes(2, "little", signed=True) + frame.data[2:], frame.t_ns)
+
+
+def test_nothing_is_wrong_with_the_log_of_a_program_that_does_what_is_asked(library: Path) -> None:
+    verdict = verdict_on(CNode(library), "static-b")
+    assert not verdict.problems, said(verdict)
+
+
+def test_an_inverted_echo_is_named_though_the_official_simulator_took_it(library: Path) -> None:
+    verdict = verdict_on(CNode(library, "inverted-echo"), "messages", profile="official-simulator")
+    assert re.search(
+        r"problem: the AI computer sends back the inverse of the HANDSHAKE bit, or the bit of the 0x520 before .*"
+        r"(\d+) of \1 echoes are wrong; the official simulator takes any, the car raises AI_COMMS_LOST within 100 ms",
+        said(verdict),
+    ), said(verdict)
+    assert "slow" not in said(verdict)
+
+
+def test_cycles_in_which_the_bit_stays_tell_an_inverted_echo_from_a_late_one(library: Path) -> None:
+    for fault, words in (
+        ("inverted-echo", "problem: the AI computer sends back the inverse of the HANDSHAKE bit: "),
+        ("late-echo", "note: the AI computer sends back the HANDSHAKE bit one 0x520 late: "),
+    ):
+        verdict = verdict_on(CNode(library, fault), "handshake", seconds=6.0)
+        assert words in said(verdict)
+
+
+def test_an_inverted_echo_for_which_a_car_does_not_come_alive_is_named(library: Path) -> None:
+    verdict = verdict_on(CNode(library, "inverted-echo"), "messages", seconds=8.0)
+    assert "problem: the AI computer sends back the inverse of the HANDSHAKE bit, or always the same" in said(verdict)
+
+
+@pytest.mark.parametrize(
+    ("fault", "item", "words"),
+    [
+        ("never-running", "static-b", "MISSION_STATUS never becomes RUNNING in AS_DRIVING: it stays SELECTED"),
+        ("torque-halved", "demo", r"50% of the torque is asked of an axle that has none .* halves it between two"),
+        ("front-axle", "static-b", r"100% of the torque is asked of an axle that has none to give"),
+        ("one-call", "demo", r"torque and brake change in one call, \w+.*: .* up to 0.\d ms"),
+    ],
+)
+def test_a_mistake_that_the_car_bore_is_named(library: Path, fault: str, item: str, words: str) -> None:
+    verdict = verdict_on(CNode(library, fault), item, seconds=30.0, pedals_by_frame=False)
+    assert re.search(words, said(verdict)), said(verdict)
+
+
+def test_a_swapped_sign_of_steering_is_named(library: Path) -> None:
+    verdict = verdict_on(CNode(library), "static-a", seconds=28.0, change=negated_angle)
+    assert "the steering turns the other way than asked: STEER_REQUEST" in said(verdict)
+
+
+def test_boxes_that_are_not_on_the_bus_are_one_short_note(library: Path) -> None:
+    verdict = verdict_on(CNode(library), "messages")
+    (absent,) = (one.text for one in verdict.findings if one.kind == "missing")
+    assert "15 messages of PCAN_GPS" in absent and len(absent) < 150
