@@ -14,6 +14,7 @@ out before it (safety rule 1).
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import Any, cast
 
 from msgspec.structs import replace
@@ -495,8 +496,8 @@ class Bridge:
             emergency=None if state.emergency is None else shortened(state.emergency.words),
             stopping=None if stop is None else shortened(stop.words),
             reasons=tuple(sorted(reason.slug for reason in tally.active)),
-            reason_counts=dict(tally.counts),
-            reason_details=dict(tally.details),
+            reason_counts=MappingProxyType(dict(tally.counts)),
+            reason_details=MappingProxyType(dict(tally.details)),
             why_not_driving=tuple(
                 map(shortened, why_not_driving(config, state, vehicle, circumstances, now_ns)[:WHYS_KEPT])
             ),
@@ -513,9 +514,9 @@ class Bridge:
             loop_faults=tally.loop_faults,
             response_ns=tally.response_ns,
             response_max_ns=tally.response_max_ns,
-            rx_counts=dict(tally.rx),
-            problem_counts=dict(tally.problems),
-            ages_ns={name: _age_ns(getattr(vehicle, name), now_ns) for name in _AGES},
+            rx_counts=MappingProxyType(dict(tally.rx)),
+            problem_counts=MappingProxyType(dict(tally.problems)),
+            ages_ns=MappingProxyType({name: _age_ns(getattr(vehicle, name), now_ns) for name in _AGES}),
             unknown=self._unknown,
         )
 

@@ -20,6 +20,7 @@ import contextlib
 import logging
 import select
 import socket
+from types import MappingProxyType
 from typing import Annotated, Final, Literal, NamedTuple
 
 import msgspec
@@ -139,7 +140,15 @@ class Ended(Value, frozen=True, tag=True):
 
 Message = VehicleCommand | ResetConfirmed | Alive | Ask | Answer | LogLine | Ended | LoopReport
 
-_encode: Final = msgspec.msgpack.Encoder().encode
+
+def _plain(value: object) -> object:
+    """What msgspec can encode, of what only guards it from being changed."""
+    if isinstance(value, MappingProxyType):
+        return dict(value)
+    raise NotImplementedError(f"nothing of the type {type(value).__name__} can be sent")
+
+
+_encode: Final = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _decode: Final = msgspec.msgpack.Decoder(Message).decode
 
 

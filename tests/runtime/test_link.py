@@ -37,6 +37,7 @@ from fsai_vcu.runtime.link import (
     LoopSettings,
     Message,
     ResetConfirmed,
+    _datagram,
     link_pair,
 )
 from fsai_vcu.runtime.loop_handle import LoopError, start_loop_process
@@ -164,7 +165,7 @@ def test_the_bounds_hold_whatever_the_core_is_told() -> None:
 
 
 @pytest.mark.parametrize("odd", ODD_TEXTS.values(), ids=ODD_TEXTS)
-def test_what_is_kept_of_a_text_can_be_sent_and_is_no_longer_than_told(odd: str) -> None:
+def test_what_is_kept_of_a_text_is_short_and_can_be_sent(odd: str) -> None:
     kept = shortened(odd, 20)
     assert len(kept) <= 20
     assert kept.encode()
@@ -185,7 +186,7 @@ def test_what_is_kept_of_a_text_can_be_sent_and_is_no_longer_than_told(odd: str)
     ],
     ids=["set_mode", "ResetConfirmed", "VehicleCommand", "Answer"],
 )
-def test_a_text_that_cannot_be_sent_is_refused_at_once_and_nothing_waits_behind_it(
+def test_what_cannot_be_sent_is_refused_and_nothing_waits_for_it(
     made: Callable[[str], Message], odd: str, ends: tuple[LinkEnd, LinkEnd]
 ) -> None:
     edge, loop = ends
@@ -242,7 +243,7 @@ def test_an_answer_does_not_repeat_a_mode_without_a_bound(ends: tuple[LinkEnd, L
 def junk() -> Iterator[bytes]:
     for size in (0, 1, 2, 50, 5000, 190_000, 200_500):
         yield os.urandom(size)
-    report_bytes = b"R" + msgspec.msgpack.encode(report())
+    report_bytes = _datagram(report())
     yield report_bytes[:-3]
     yield b"R"
     yield b"M"
@@ -269,7 +270,7 @@ def put(lane: socket.socket, datagram: bytes, then: Callable[[], object] = lambd
     assert eventually(sent)
 
 
-def test_a_datagram_that_is_no_message_is_dropped_counted_and_named(ends: tuple[LinkEnd, LinkEnd]) -> None:
+def test_what_is_no_message_is_dropped_counted_and_named(ends: tuple[LinkEnd, LinkEnd]) -> None:
     edge, loop = ends
     for number, (lane, datagram) in enumerate(product(edge._lanes, junk()), 1):
         put(lane, datagram, then=loop.receive)
@@ -300,7 +301,7 @@ def test_an_edge_survives_every_datagram_of_its_loop(loop: ThreadedLoop) -> None
     assert loop.running and loop.link_trouble()["node: messages not understood"] == 2 * len(list(junk()))
 
 
-def test_the_loops_process_survives_every_datagram_before_it_runs() -> None:
+def test_the_loops_process_survives_every_datagram() -> None:
     handle = start_loop_process("loopback:junk")
     try:
         for lane, datagram in product(handle._link._lanes, junk()):
@@ -340,7 +341,7 @@ def test_what_stops_the_car_arrives_before_a_lane_that_is_full(what: Any, ends: 
     assert edge.trouble.dropped == 2 and loop.trouble.dropped == 1
 
 
-def test_the_emergency_brake_is_answered_while_reports_are_blocked_and_commands_find_no_room(
+def test_the_emergency_brake_is_answered_past_blocked_lanes(
     loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The edge does not read: its lane fills with reports.
@@ -374,7 +375,7 @@ def test_a_flood_is_read_turn_by_turn(ends: tuple[LinkEnd, LinkEnd]) -> None:
     assert len(found) == sent
 
 
-def test_the_end_of_the_other_side_is_seen_on_either_lane_after_what_had_come(ends: tuple[LinkEnd, LinkEnd]) -> None:
+def test_the_other_sides_end_is_seen_after_what_had_come(ends: tuple[LinkEnd, LinkEnd]) -> None:
     edge, loop = ends
     loop.send(report())
     loop.send(Ended("it broke"))
