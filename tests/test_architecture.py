@@ -53,7 +53,9 @@ ARROWS: dict[str, set[str]] = {
     | {"fsai_vcu.core", "fsai_vcu.interface", PRINTABLE},
     f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics", "verdict")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report")}
+    f"{DIAGNOSTICS}.serving": {"fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.foxglove": {f"{DIAGNOSTICS}.serving"},
+    f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report", "serving")}
     | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.stack": {"fsai_vcu.core"},
     "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE, DIAGNOSTICS},

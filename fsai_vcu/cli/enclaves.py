@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import grp
 import os
+import pwd
 import shutil
 import subprocess
 import sys
@@ -14,6 +16,10 @@ from fsai_vcu.runtime.configuration import usual_environment
 
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
+SERVICE_USER, OPERATORS = "fsai", "fsai-operators"
+# Whose keys these are; the others (sensors, observer) stay root's, who hands them to where they are needed.
+OF_SERVICES = frozenset({"vcu_bridge", "cone_detector", "path_planner", "vehicle_controller"})
+OF_OPERATORS = frozenset({"operator", "listener", "visualization"})
 _INSTALLED_POLICY = Path("/usr/share/fsai/security/policy.xml")
 _CHECKOUT_POLICY = Path(__file__).resolve().parents[2] / "systemd" / "security" / "policy.xml"
 _DISTRIBUTION = Path("/opt/ros/jazzy")
@@ -52,16 +58,47 @@ def run(args: argparse.Namespace) -> int:
     if new:
         _call(tool, domain, "create_keystore", str(keystore))
     _call(tool, domain, "generate_artifacts", "-k", str(keystore), "-p", str(policy))
-    # Keys are for the services' user alone, and the key that signs them, and with it what they permit, for root's.
-    private = keystore / "private"
-    for path in (keystore, *keystore.rglob("*")):
-        if not path.is_symlink():
-            mode = 0o700 if path.is_relative_to(private) else 0o750
-            path.chmod(mode if path.is_dir() else mode & 0o640)
-    print(f"keys for ROS domain {domain} are in {keystore}; now:")
-    print(f"sudo chgrp fsai {keystore} && sudo chgrp -R fsai {keystore}/enclaves {keystore}/public")
-    print(f'and in /etc/fsai/fsai.toml\n[ros]\nkeystore = "{keystore}"')
+    lacking = _give(keystore)
+    print(f"keys for ROS domain {domain} are in {keystore}; now in /etc/fsai/fsai.toml:")
+    print(f'[ros]\nkeystore = "{keystore}"')
+    if lacking:
+        print(f"fsai-vcu enclaves: only this user can read them: {lacking}", file=sys.stderr)
+    else:
+        print(f"and who is to operate the car: sudo usermod -aG {OPERATORS} NAME")
     return 0
+
+
+def _give(keystore: Path) -> str:
+    """Each key to who uses it, and nobody else; why that could not be done, or ''.
+
+    The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's.
+    """
+    lacking = ""
+    try:
+        service, operators = pwd.getpwnam(SERVICE_USER).pw_uid, grp.getgrnam(OPERATORS).gr_gid
+    except KeyError as error:
+        lacking = f"{error.args[0]}; make install, or the package, makes user {SERVICE_USER} and group {OPERATORS}"
+    else:
+        if os.geteuid() != 0:
+            lacking = f"sudo fsai-vcu enclaves gives them to user {SERVICE_USER} and group {OPERATORS}"
+    enclaves = {path.parent for path in keystore.rglob("key.pem") if not path.is_symlink()}
+    for path in (keystore, *keystore.rglob("*")):
+        if path.is_symlink():
+            continue
+        mode, owner, group = 0o755, 0, 0
+        enclave = next((each for each in enclaves if path.is_relative_to(each)), None)
+        if path.is_relative_to(keystore / "private"):
+            mode = 0o700
+        elif enclave is not None:
+            mode = 0o700
+            if not lacking and enclave.name in OF_SERVICES:
+                owner, mode = service, 0o500
+            elif not lacking and enclave.name in OF_OPERATORS:
+                group, mode = operators, 0o750
+        if os.geteuid() == 0:
+            os.chown(path, owner, group)
+        path.chmod(mode if path.is_dir() else mode & 0o644)
+    return lacking
 
 
 def _find_tool() -> _Tool | None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
+import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from itertools import chain, islice
 from typing import Any, Final
@@ -29,8 +29,9 @@ Each message is a topic /can/NAME with its signals; /can/state has the words of
 AS state, mission and shutdown cause, /can/bridge what the bridge tells the VCU
 of itself. In Foxglove: open connection, Foxglove WebSocket,
 ws://localhost:8765, then import the layout that --layout prints. A log is
-played once, as fast as it was recorded. It never sends to the bus. Needs the
-extra foxglove (pip install 'fsai-vcu[foxglove]')."""
+played once, as fast as it was recorded. It never sends to the bus, and shows it
+to Foxglove's own pages and to programs of this machine, not to other web pages;
+--host opens it to a network. Needs the extra foxglove (pip install 'fsai-vcu[foxglove]')."""
 PORT: Final = 8765
 PIECE_NS: Final = 50_000_000  # of a log, handed over at once
 WORDS: Final = {
@@ -50,10 +51,11 @@ def run(args: argparse.Namespace) -> int:
     if args.layout:
         print(files("fsai_vcu.cli").joinpath("foxglove_layout.json").read_text(encoding="utf-8"), end="")
         return 0
+    os.nice(5)  # what drives the car goes first
     try:
-        import foxglove
-    except ImportError:
-        raise UserError("foxglove-sdk is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
+        from fsai_vcu.diagnostics.foxglove import Server
+    except ModuleNotFoundError:
+        raise UserError("aiohttp is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
     if not args.sources:
         raise WrongUse("a log or an interface is missing")
     check_server(args)
@@ -64,32 +66,25 @@ def run(args: argparse.Namespace) -> int:
     if not first:
         return sources.status
     chunks = chain(first, source)
-    topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
-    topics.make(decoding)  # one that is new while a client connects may stay unknown to the server
     try:
-        server = foxglove.start_server(name=f"fsai-vcu {sources.name}", host=args.host, port=args.port)
-    except (OSError, RuntimeError) as error:
-        raise UserError(f"cannot listen on {args.host}:{args.port}: {error}") from error
+        server = Server(args.host, args.port, f"fsai-vcu {sources.name}", topics_of(decoding))
+    except OSError as error:
+        raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
     how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
-    ended: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
     try:
-        print(f"ws://{args.host}:{server.port} shows {sources.name}, {how_long}", flush=True)
-        for frames in chunks if sources.live else _as_recorded(chunks, ended):
-            if ended:
-                break
-            topics.show(frames, decoding)
-    except KeyboardInterrupt:  # a script's SIGTERM
-        if not sources.live:
-            raise
-    finally:
-        signal.signal(signal.SIGINT, before)
-        server.stop()
+        with server:
+            print(f"ws://{server.url} shows {sources.name}, {how_long}", flush=True)
+            if server.beyond:
+                print(server.beyond, flush=True)
+            for frames in chunks if sources.live else _as_recorded(chunks):
+                server.publish(messages_of(frames, decoding))
+    except KeyboardInterrupt:
+        pass
     return sources.status
 
 
-def _as_recorded(chunks: Iterable[Frames], ended: list[int]) -> Iterator[Frames]:
-    """A log's frames in pieces, each at its time, until `ended` holds something."""
+def _as_recorded(chunks: Iterable[Frames]) -> Iterator[Frames]:
+    """A log's frames in pieces, each at its time."""
     import numpy as np
 
     began: tuple[int, float] | None = None
@@ -99,7 +94,7 @@ def _as_recorded(chunks: Iterable[Frames], ended: list[int]) -> Iterator[Frames]
         began = began or (int(frames.t_ns[0]), time.monotonic())
         pieces = (frames.t_ns - began[0]) // PIECE_NS
         for piece in np.unique(pieces).tolist():
-            while not ended and (left_s := piece * PIECE_NS / 1e9 - (time.monotonic() - began[1])) > 0.0:
+            while (left_s := piece * PIECE_NS / 1e9 - (time.monotonic() - began[1])) > 0.0:
                 time.sleep(min(left_s, PIECE_NS / 1e9))
             yield frames.only(pieces == piece)
 
@@ -109,28 +104,21 @@ def _finite(values: list[Any]) -> list[Any]:
     return [None if isinstance(value, float) and not math.isfinite(value) else value for value in values]
 
 
-class Topics:
-    """Publishes decoded frames. `channel` makes a topic, whose `log` takes a dict and a time."""
+def topics_of(decoding: Decoding) -> list[str]:
+    """The topic of every message that may come."""
+    names = {layout.name for databases in decoding.possible() for layout in databases.layouts.values()}
+    return sorted({f"/can/{name}" for name in names} | {WORDS[name][0] for name in names & WORDS.keys()})
 
-    def __init__(self, channel: Callable[[str], Any]) -> None:
-        self._channel = channel
-        self._channels: dict[str, Any] = {}
 
-    def make(self, decoding: Decoding) -> None:
-        """The topic of every message that may come, with nothing in it yet."""
-        names = {layout.name for databases in decoding.possible() for layout in databases.layouts.values()}
-        for topic in sorted({f"/can/{name}" for name in names} | {WORDS[name][0] for name in names & WORDS.keys()}):
-            self._channels[topic] = self._channel(topic)
-
-    def show(self, frames: Frames, decoding: Decoding) -> None:
-        for table in decoding.decoder.tables(frames).values() if len(frames) else ():
-            name = table.layout.name
-            channel = self._channels[f"/can/{name}"]
-            columns = {series.name: _finite(series.values.tolist()) for series in table.series.values()}
-            for row, t_ns in enumerate(table.t_ns.tolist()):
-                channel.log({each: values[row] for each, values in columns.items()}, log_time=t_ns)
-            if name in WORDS and len(table.t_ns):
-                topic, signals = WORDS[name]
-                last = len(table.t_ns) - 1
-                words = {signal: table.series[signal].label(last) for signal in signals if signal in table.series}
-                self._channels[topic].log(words, log_time=int(table.t_ns[-1]))
+def messages_of(frames: Frames, decoding: Decoding) -> Iterator[tuple[str, int, dict[str, Any]]]:
+    """Topic, time and values of what the frames say."""
+    for table in decoding.decoder.tables(frames).values() if len(frames) else ():
+        name = table.layout.name
+        columns = {series.name: _finite(series.values.tolist()) for series in table.series.values()}
+        for row, t_ns in enumerate(table.t_ns.tolist()):
+            yield f"/can/{name}", t_ns, {each: values[row] for each, values in columns.items()}
+        if name in WORDS and len(table.t_ns):
+            topic, signals = WORDS[name]
+            last = len(table.t_ns) - 1
+            words = {signal: table.series[signal].label(last) for signal in signals if signal in table.series}
+            yield topic, int(table.t_ns[-1]), words

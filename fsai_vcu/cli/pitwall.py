@@ -98,12 +98,11 @@ def run(args: argparse.Namespace) -> int:
         if source.empty:
             server.socket.close()
             return sources.status
-    host = f"[{args.host}]" if ":" in args.host else args.host
     try:
         with server, _nodes(args) as nodes:
-            print(f"http://{host}:{server.server_address[1]} shows {sources.name} until Ctrl-C", flush=True)
-            if not server.names:
-                print(f"everybody who reaches {args.host} of this machine over a network can watch", flush=True)
+            print(f"http://{server.url} shows {sources.name} until Ctrl-C", flush=True)
+            if server.beyond:
+                print(server.beyond, flush=True)
             _show(source, server, nodes, args)
     except KeyboardInterrupt:
         pass

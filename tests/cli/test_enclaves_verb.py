@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import pytest
 
@@ -26,8 +29,11 @@ case $2 in
     stat -c %a "$3/private/ca.key.pem" >> "$CALLS"
     echo cert > "$3/public/ca.cert.pem" ;;
   generate_artifacts)
-    mkdir -p "$4/enclaves/fsai"; echo key > "$4/enclaves/fsai/key.pem"; chmod 644 "$4/enclaves/fsai/key.pem"
-    ln -sf key.pem "$4/enclaves/fsai/link.pem"
+    for each in $(sed -n 's/.*enclave path="\\([^"]*\\)".*/\\1/p' "$6"); do
+      mkdir -p "$4/enclaves$each"; echo key > "$4/enclaves$each/key.pem"; chmod 644 "$4/enclaves$each/key.pem"
+      ln -sf key.pem "$4/enclaves$each/link.pem"
+    done
+    echo g > "$4/enclaves/governance.p7s"
     echo "domain $ROS_DOMAIN_ID" >> "$CALLS"
     exit "${FAILS:-0}" ;;
 esac
@@ -69,9 +75,78 @@ def test_one_command_makes_a_keystore_only_services_can_read(
         f"security generate_artifacts -k {keystore} -p {policy}",
         "domain 0",
     ], "and from its first moment on nobody else can read the key that signs"
-    assert mode_of(keystore / "enclaves/fsai/key.pem") == 0o640, "nobody else may read a key"
-    assert mode_of(keystore) == mode_of(keystore / "public") == 0o750
-    assert f'keystore = "{keystore}"' in capsys.readouterr().out, "what is to be written into the configuration"
+    keys = list((keystore / "enclaves").rglob("key.pem"))
+    assert keys and {mode_of(key) for key in keys} == {0o600}, "without user and group of the services nobody else's"
+    said = capsys.readouterr()
+    assert f'keystore = "{keystore}"' in said.out, "what is to be written into the configuration"
+    assert "only this user can read them" in said.err
+
+
+ROWS = {  # of the table in security.md: user and groups of the account
+    "any account of the PC": (61_009, ()),
+    "in the group `fsai`": (61_009, (61_001,)),
+    "in the group `fsai-operators` too": (61_009, (61_001, 61_002)),
+    "the services' user `fsai`": (61_001, (61_001,)),
+    "root": (0, (0,)),
+}
+
+
+def readable_by(account: tuple[int, tuple[int, ...]], keys: list[Path]) -> set[str]:
+    """The enclaves whose key a process of the account can open; 'private' for the key that signs."""
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        user, groups = account
+        os.setgroups(groups)
+        os.setgid(groups[0] if groups else user)
+        os.setuid(user)
+        for key in keys:
+            try:
+                key.read_bytes()
+            except PermissionError:
+                continue
+            os.write(write_end, f"{key.parent.name}\n".encode())
+        os._exit(0)
+    os.close(write_end)
+    with os.fdopen(read_end) as pipe:
+        found = set(pipe.read().split())
+    os.waitpid(child, 0)
+    return found
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to users and become them")
+def test_each_account_reads_the_keys_that_security_md_says(calls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(enclaves.pwd, "getpwnam", lambda name: SimpleNamespace(pw_uid=61_001))
+    monkeypatch.setattr(enclaves.grp, "getgrnam", lambda name: SimpleNamespace(gr_gid=61_002))
+    with TemporaryDirectory() as folder:  # pytest's own is root's alone
+        Path(folder).chmod(0o755)
+        keystore = Path(folder) / "keystore"
+        assert main(["enclaves", "--keystore", str(keystore)]) == 0
+        keys = [*(keystore / "enclaves").rglob("key.pem"), keystore / "private" / "ca.key.pem"]
+        found = {account: readable_by(ids, keys) for account, ids in ROWS.items()}
+        everybody = {ids: (keystore / "enclaves" / "governance.p7s").stat().st_mode & 0o777 for ids in ROWS}
+    table = {}
+    for line in (CHECKOUT / "docs" / "security.md").read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if cells[0] in ROWS:
+            table[cells[0]] = cells[1]
+    assert set(table) == set(ROWS)
+    every = {key.parent.name for key in keys}
+    for account, words in table.items():
+        said = every if words == "all of them" else set() if words == "none" else set(re.findall(r"`(\w+)`", words))
+        assert said == found[account], account
+    assert found["in the group `fsai`"] == set() and set(everybody.values()) == {0o644}
+
+
+def test_each_service_is_kept_from_the_keys_of_others() -> None:
+    every = set(re.findall(r'enclave path="(/fsai/\w+)"', (CHECKOUT / "systemd/security/policy.xml").read_text()))
+    assert {path.rpartition("/")[2] for path in every} >= enclaves.OF_SERVICES | enclaves.OF_OPERATORS
+    for unit in (CHECKOUT / "systemd" / "units").glob("fsai-*.service"):
+        text = unit.read_text()
+        own = {f"/fsai/{name}" for name in re.findall(r"fsai_nodes\.(\w+)", text)}
+        hidden = set(re.findall(r"-/etc/fsai/keystore/enclaves(/fsai/\w+)", text))
+        assert hidden == every - own, unit.name
+        assert ("-/etc/fsai/keystore/private" in text) is True, unit.name
 
 
 def test_a_keystore_is_kept_with_its_signing_key_roots_alone(
@@ -85,8 +160,6 @@ def test_a_keystore_is_kept_with_its_signing_key_roots_alone(
         (keystore / "private").chmod(0o750)  # as an earlier version left it
         (keystore / "private" / "ca.key.pem").chmod(0o640)
     assert calls.read_text().count("create_keystore") == 1
-    (line,) = {line for line in capsys.readouterr().out.splitlines() if "chgrp" in line}
-    assert line == f"sudo chgrp fsai {keystore} && sudo chgrp -R fsai {keystore}/enclaves {keystore}/public"
 
 
 def test_keys_are_made_for_the_cars_domain(

@@ -7,7 +7,9 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
+from http.client import HTTPConnection
 from pathlib import Path
 from subprocess import PIPE
 
@@ -16,10 +18,11 @@ from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.foxglove import Server
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import REVISIONS
 
-pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: pip install 'fsai-vcu[foxglove]'")
+pytest.importorskip("aiohttp", reason="aiohttp is not installed: pip install 'fsai-vcu[foxglove]'")
 
 
 SENT = (
@@ -66,6 +69,75 @@ def test_a_client_receives_signals_and_states(tmp_path: Path, live: bool) -> Non
     assert said["/can/VCU2AI_Status"]["AS_STATE"] == 3
     assert said["/can/state"]["AS_STATE"] == "AS_DRIVING" and said["/can/state"]["AMI_STATE"] == "ACCELERATION"
     assert said["/can/bridge"]["MISSION_STATUS"] == "RUNNING" and said["/can/bridge"]["DIRECTION_REQUEST"] == "FORWARD"
+
+
+@pytest.fixture
+def served() -> Iterator[Server]:
+    with Server("127.0.0.1", 0, "test", ["/can/A", "/can/B"]) as server:
+        yield server
+
+
+def handshake(server: Server, **headers: str) -> int:
+    """The status with which a client is answered."""
+    port = server.server_address[1]
+    client = HTTPConnection("127.0.0.1", port, timeout=60)
+    usual = {"Host": f"localhost:{port}", "Connection": "Upgrade", "Upgrade": "websocket"}
+    usual |= {"Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
+    client.request("GET", "/", headers=usual | {"Sec-WebSocket-Protocol": "foxglove.sdk.v1"} | headers)
+    return client.getresponse().status
+
+
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [
+        ("https://app.foxglove.dev", 101),
+        ("file://", 101),
+        ("http://localhost:8080", 101),
+        ("https://evil.example", 403),
+        ("https://app.foxglove.dev.evil.example", 403),
+        ("https://localhost.evil.example:8080", 403),
+        ("null", 403),
+    ],
+)
+def test_only_pages_of_foxglove_and_this_machine_get_in(served: Server, origin: str, status: int) -> None:
+    assert handshake(served, Origin=origin) == status
+    assert handshake(served, Origin=origin, Host="evil.example:8765") == 421
+
+
+def test_who_speaks_no_foxglove_is_refused(served: Server) -> None:
+    assert handshake(served, **{"Sec-WebSocket-Protocol": "chat"}) == 426
+    assert handshake(served, Upgrade="h2c") == 426
+
+
+def test_nonsense_of_a_client_is_answered_and_ends_nothing(served: Server) -> None:
+    websocket = pytest.importorskip("websocket", reason="websocket-client is not installed: it comes with selenium")
+    where = f"ws://127.0.0.1:{served.server_address[1]}"
+    client = websocket.create_connection(
+        where, timeout=60, subprotocols=["foxglove.websocket.v1"], suppress_origin=True
+    )
+    assert json.loads(client.recv())["op"] == "serverInfo"
+    channels = json.loads(client.recv())["channels"]
+    assert [(each["id"], each["topic"], each["encoding"]) for each in channels] == [
+        (1, "/can/A", "json"),
+        (2, "/can/B", "json"),
+    ]
+    for nonsense in ("[" * 50_000, "{}", '{"op": "subscribe"}', '{"op": "advertise"}', '{"op": 1e999}', "\x00"):
+        client.send(nonsense)
+        assert json.loads(client.recv())["op"] == "status"
+    for each in ({"id": -1, "channelId": 1}, {"id": 1, "channelId": 3}, {"id": 1e999, "channelId": 1}):
+        client.send(json.dumps({"op": "subscribe", "subscriptions": [each]}))
+        assert json.loads(client.recv())["op"] == "status"
+    client.send(
+        json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": 1}, {"id": 8, "channelId": 2}]})
+    )
+    client.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [8]}))
+    client.send("?")  # its answer comes when all before it is done
+    assert json.loads(client.recv())["op"] == "status"
+    served.publish([("/can/A", 123, {"x": 1.5}), ("/can/B", 123, {"x": 2.5})])
+    assert client.recv() == b'\x01\x07\0\0\0{\0\0\0\0\0\0\0{"x":1.5}'
+    served.publish([("/can/B", 123, {"x": 2.5}), ("/can/A", 124, {"x": 1.5})])
+    assert client.recv()[5] == 124
+    client.close()
 
 
 def test_a_part_of_a_log_is_played_from_its_begin_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,8 +122,10 @@ def test_a_network_is_opened_by_name_and_said_so(log: str) -> None:
     with watching(log, "--host", "0.0.0.0") as (port, said):
         assert said[1] == "everybody who reaches 0.0.0.0 of this machine over a network can watch\n"
         client = HTTPConnection("127.0.0.1", port, timeout=60)
-        client.request("GET", "/", headers={"Host": "car-pc:8650"})
+        client.request("GET", "/", headers={"Host": f"{socket.gethostname()}:8650"})
         assert client.getresponse().status == 200
+        client.request("GET", "/", headers={"Host": "evil.example:8650"})
+        assert client.getresponse().status == 421
 
 
 def test_a_port_in_use_is_one_line(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsai_vcu.diagnostics import serving
 from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.log import live
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
@@ -20,11 +21,12 @@ from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import View
-from fsai_vcu.diagnostics.pitwall import server as serving
 from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
-from fsai_vcu.diagnostics.pitwall.server import MOST_CONNECTIONS, Server
+from fsai_vcu.diagnostics.pitwall.server import Server
 from fsai_vcu.diagnostics.pitwall.trace import POINTS, Trace
 from fsai_vcu.diagnostics.report.curves import way_of
+from fsai_vcu.diagnostics.serving import MOST_CONNECTIONS, MOST_OF_ONE
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS, S
 from fsai_vcu.runtime.bus import BusLost
@@ -202,10 +204,13 @@ def server() -> Iterator[Server]:
         yield started
 
 
-def asked(server: Server, method: str, path: str, host: str | None = None) -> HTTPResponse:
+def asked(
+    server: Server, method: str, path: str, host: str | None = None, origin: str | None = None, to: str = "127.0.0.1"
+) -> HTTPResponse:
     """The whole answer, or the beginning of a stream."""
-    client = HTTPConnection("127.0.0.1", server.server_address[1], timeout=60)
-    client.request(method, path, headers={"Host": host} if host else {})
+    client = HTTPConnection(to, server.server_address[1], timeout=60)
+    given = {"Host": host, "Origin": origin}
+    client.request(method, path, headers={name: value for name, value in given.items() if value is not None})
     return client.getresponse()
 
 
@@ -257,11 +262,34 @@ def test_there_is_nothing_beyond_the_page(server: Server, path: str) -> None:
     assert asked(server, "GET", path).status == 404
 
 
-def test_a_foreign_name_that_leads_here_is_refused(server: Server) -> None:
-    port = server.server_address[1]
-    assert asked(server, "GET", "/events", f"evil.example:{port}").status == 421
-    for name in (f"localhost:{port}", f"127.0.0.1:{port}", f"[::1]:{port}", "localhost"):
-        assert asked(server, "GET", "/", name).status == 200
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "0.0.0.0", "::1", "localhost"])
+def test_a_foreign_name_that_leads_here_is_refused(host: str) -> None:
+    """On every address that is listened on; and a page of another site is refused by where it is from."""
+    with Server(host, 0) as server:
+        port = server.server_address[1]
+        foreign = ("evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "192.0.2.1", "[2001:db8::1]", "")
+        for name in foreign:
+            for path in ("/", "/events"):
+                assert asked(server, "GET", path, f"{name}:{port}", to=host).status == 421, name
+        for name in (f"localhost:{port}", f"LOCALHOST:{port}", f"127.0.0.1:{port}", f"[::1]:{port}", "localhost"):
+            assert asked(server, "GET", "/", name, to=host).status == 200, name
+        for origin in ("https://evil.example", "null", "file://", f"http://localhost:{port + 1}", "http://[::1"):
+            assert asked(server, "GET", "/", f"localhost:{port}", origin, to=host).status == 403, origin
+        assert asked(server, "GET", "/", f"localhost:{port}", f"http://localhost:{port}", to=host).status == 200
+
+
+@pytest.mark.parametrize(("host", "beyond"), [("127.0.0.1", False), ("127.0.0.2", False), ("0.0.0.0", True)])
+def test_it_is_known_whether_a_network_can_watch(host: str, beyond: bool) -> None:
+    with Server(host, 0) as server:
+        assert bool(server.beyond) is beyond
+
+
+def test_a_server_whose_thread_has_ended_is_an_error_in_words() -> None:
+    with Server("127.0.0.1", 0) as server:
+        server.loop.call_soon_threadsafe(server._stop.set)
+        server._thread.join()
+        with pytest.raises(UserError, match=r"nobody listens on 127\.0\.0\.1:\d+ any more"):
+            server.publish("state", {})
 
 
 def test_ten_viewers_get_the_same_and_a_late_one_the_last(server: Server) -> None:
@@ -311,12 +339,26 @@ def test_more_connections_than_are_allowed_are_closed(server: Server, monkeypatc
     monkeypatch.setattr(serving, "TIMEOUT_S", 1000.0)  # not for being idle
     with ExitStack() as connections:
 
-        def connect() -> socket.socket:
-            return connections.enter_context(socket.create_connection(server.server_address[:2], timeout=60))
+        def connect(own: str) -> socket.socket:
+            where = server.server_address[:2]
+            return connections.enter_context(socket.create_connection(where, timeout=60, source_address=(own, 0)))
 
-        for _ in range(MOST_CONNECTIONS):
-            connect()
-        assert connect().recv(1) == b""
+        for number in range(MOST_CONNECTIONS):
+            connect(f"127.0.0.{2 + number // MOST_OF_ONE}")
+        assert connect("127.0.0.1").recv(1) == b""
+
+
+def test_one_address_cannot_hold_all_places(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "TIMEOUT_S", 1000.0)
+    with ExitStack() as connections:
+        for _ in range(MOST_OF_ONE):
+            connections.enter_context(
+                socket.create_connection(server.server_address[:2], timeout=60, source_address=("127.0.0.2", 0))
+            )
+        with socket.create_connection(server.server_address[:2], source_address=("127.0.0.2", 0)) as one_more:
+            one_more.settimeout(60)
+            assert one_more.recv(1) == b""
+        assert asked(server, "GET", "/").status == 200
 
 
 def test_the_end_of_the_server_ends_the_streams() -> None:
