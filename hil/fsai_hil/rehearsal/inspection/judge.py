@@ -594,7 +594,7 @@ class InspectionJudge:
             lengths = ", ".join(str(BY_ID[can_id].dlc) for can_id in AI_IDS)
             self.show(
                 "messages",
-                f"every {min(means):.2f} to {max(means):.2f} ms, {max(longest):.1f} ms apart at most; {lengths} bytes",
+                f"every {max(means):.2f} ms, {max(longest):.1f} ms apart at most; {lengths} bytes",
             )
         if sum(self._orders.values()) < 10:
             return
