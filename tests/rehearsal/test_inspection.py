@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +21,7 @@ from fsai_hil.rehearsal.inspection.judge import Result, Verdict, items_named
 from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
 from fsai_hil.rehearsal.inspection.report import as_dict, line, page, passed, text
 from fsai_hil.rehearsal.inspection.scenes import PATTERN, SCENES
+from fsai_hil.rehearsal.stack import await_condition
 from fsai_hil.simulator.ai_computer import OnboardComputer
 from fsai_vcu.cli.main import Parser
 from fsai_vcu.core.bridge import Bridge
@@ -241,3 +245,21 @@ def test_what_follows_the_dashes_is_the_programs(capsys: pytest.CaptureFixture[s
         run(parse(parser, ["--only", "nothing"]))
     assert run(parse(parser, ["--list", "--json"])) == 0
     assert [item["slug"] for item in json.loads(capsys.readouterr().out)] == [item.slug for item in ITEMS]
+
+
+def test_ctrl_c_ends_the_program_too_and_leaves_a_result(tmp_path: Path) -> None:
+    pid, out = tmp_path / "pid", tmp_path / "out"
+    bus = f"loopback:rehearse-{os.getpid()}"
+    own = (sys.executable, "-m", "fsai_vcu.cli.main", "rehearse", "-i", bus, "-o", str(out))
+    rehearse = subprocess.Popen(
+        (*own, "--", "sh", "-c", f"echo $$ > {pid}; exec sleep 600"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    await_condition(lambda: pid.exists() and bool(pid.read_text()), 60.0, "the program has been started")
+    rehearse.send_signal(signal.SIGINT)
+    said, _ = rehearse.communicate(timeout=60.0)
+    assert rehearse.returncode == 130, said
+    assert not Path(f"/proc/{int(pid.read_text())}").exists()
+    assert json.loads((out / "result.json").read_text())["ended"] == "ended by SIGINT"
