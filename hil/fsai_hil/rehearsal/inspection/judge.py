@@ -562,7 +562,9 @@ class InspectionJudge:
         if item.slug not in self._shown:
             why = self.why_not.get(item.scene) or "the rehearsal ended before it"
             return Result(item, Verdict.NOT_SEEN, (*words, why))
-        shown = tuple(dict.fromkeys(facts))[:3]
+        shown = tuple({_NUMBERS.sub("", each): each for each in reversed(facts)}.values())[::-1][
+            :3
+        ]  # the first of a kind
         return Result(item, Verdict.NOTE if found else Verdict.PASS, (*words, *shown))
 
     def _judge_messages(self) -> None:
