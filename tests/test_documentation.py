@@ -70,6 +70,7 @@ def commands_of(text: str) -> Iterator[list[str]]:
 
 def wrong_with(words: list[str]) -> str | None:
     """What no such program, target, verb, option or module there is."""
+    words = words[: words.index("--")] if "--" in words else words  # what follows is another program's
     program = words[0].removeprefix(".venv/bin/")
     if program == "make":
         unknown = {word for word in words[1:] if re.fullmatch(r"[a-z-]+", word)} - TARGETS

@@ -195,7 +195,11 @@ def test_an_echo_that_is_a_cycle_late_has_its_real_time() -> None:
     bus = measured(late)
     assert bus.handshake is not None and bus.handshake.answered == 298
     assert (bus.handshake.response_ms.p50_ms, bus.handshake.response_ms.max_ms) == (11.0, 11.0)
-    assert "within 11.0 ms (p99): slow" in next(f.text for f in judge(bus) if f.kind == "handshake")
+    # The bit changes with each frame: that may as well be its inverse, which no car takes.
+    (said,) = (f.text for f in judge(bus) if f.kind in ("handshake", "echo"))
+    assert said.startswith(
+        "the AI computer sends back the inverse of the HANDSHAKE bit, or the bit of the 0x520 before"
+    )
 
 
 def test_the_load_is_the_share_of_the_possible_bits() -> None:

@@ -67,12 +67,12 @@ def negated_angle(frame: Frame) -> Frame:
     return Frame(frame.can_id, angle.to_bytes(2, "little", signed=True) + frame.data[2:], frame.t_ns)
 
 
-def test_nothing_is_wrong_with_the_log_of_a_program_that_does_what_is_asked(library: Path) -> None:
+def test_nothing_is_wrong_with_the_log_of_a_right_program(library: Path) -> None:
     verdict = verdict_on(CNode(library), "static-b")
     assert not verdict.problems, said(verdict)
 
 
-def test_an_inverted_echo_is_named_though_the_official_simulator_took_it(library: Path) -> None:
+def test_an_inverted_echo_that_the_simulator_took_is_named(library: Path) -> None:
     verdict = verdict_on(CNode(library, "inverted-echo"), "messages", profile="official-simulator")
     assert re.search(
         r"problem: the AI computer sends back the inverse of the HANDSHAKE bit, or the bit of the 0x520 before .*"
@@ -82,7 +82,7 @@ def test_an_inverted_echo_is_named_though_the_official_simulator_took_it(library
     assert "slow" not in said(verdict)
 
 
-def test_cycles_in_which_the_bit_stays_tell_an_inverted_echo_from_a_late_one(library: Path) -> None:
+def test_cycles_whose_bit_stays_tell_an_inverse_from_a_late_echo(library: Path) -> None:
     for fault, words in (
         ("inverted-echo", "problem: the AI computer sends back the inverse of the HANDSHAKE bit: "),
         ("late-echo", "note: the AI computer sends back the HANDSHAKE bit one 0x520 late: "),
@@ -91,7 +91,7 @@ def test_cycles_in_which_the_bit_stays_tell_an_inverted_echo_from_a_late_one(lib
         assert words in said(verdict)
 
 
-def test_an_inverted_echo_for_which_a_car_does_not_come_alive_is_named(library: Path) -> None:
+def test_an_inverted_echo_that_keeps_a_car_asleep_is_named(library: Path) -> None:
     verdict = verdict_on(CNode(library, "inverted-echo"), "messages", seconds=8.0)
     assert "problem: the AI computer sends back the inverse of the HANDSHAKE bit, or always the same" in said(verdict)
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +21,7 @@ from fsai_hil.rehearsal.inspection.judge import Result, Verdict, items_named
 from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
 from fsai_hil.rehearsal.inspection.report import as_dict, line, page, passed, text
 from fsai_hil.rehearsal.inspection.scenes import PATTERN, SCENES
+from fsai_hil.rehearsal.stack import await_condition
 from fsai_hil.simulator.ai_computer import OnboardComputer
 from fsai_vcu.cli.main import Parser
 from fsai_vcu.core.bridge import Bridge
@@ -74,7 +78,7 @@ def wrong(results: dict[str, Result]) -> dict[str, tuple[str, ...]]:
 NO_REACTION_ASKED = {f"silence-{can_id:x}" for can_id, (_, within_ms) in SILENCES.items() if within_ms is None}
 
 
-def test_a_c_program_in_the_manner_of_the_cars_library_passes_every_item(library: Path) -> None:
+def test_a_c_program_as_of_the_cars_library_passes_every_item(library: Path) -> None:
     results = rehearsed(CNode(library).cycle, *({item.slug for item in ITEMS} - NO_REACTION_ASKED | {"silence-522"}))
     assert not wrong(results)
     assert "driven in" in results["static-a"].seen[0]
@@ -154,7 +158,7 @@ def test_each_mistake_of_the_c_program_is_named(library: Path, fault: str) -> No
     assert re.search(words, "\n".join(found.seen)), found.seen
 
 
-def test_every_mistake_that_the_c_program_can_make_is_among_them(tmp_path: Path) -> None:
+def test_every_mistake_of_the_c_program_is_among_them(tmp_path: Path) -> None:
     try:
         program = compiled(tmp_path)
     except FileNotFoundError:
@@ -163,7 +167,7 @@ def test_every_mistake_that_the_c_program_can_make_is_among_them(tmp_path: Path)
     assert listed == list(MISTAKES)
 
 
-def test_a_vcu_that_judges_once_a_cycle_makes_a_change_in_one_call_a_note(library: Path) -> None:
+def test_a_change_in_one_call_is_a_note_where_cycles_are_judged(library: Path) -> None:
     results = rehearsed(CNode(library, "one-call").cycle, "torque-brake", pedals_by_frame=False)
     assert results["torque-brake"].verdict is Verdict.NOTE
     assert "a VCU that judges once a cycle may not see it" in results["torque-brake"].seen[0]
@@ -179,7 +183,7 @@ def test_a_program_that_says_nothing_passes_nothing() -> None:
     assert not passed([*results.values()])
 
 
-def test_a_program_that_ends_by_itself_is_a_failure_and_ends_the_rehearsal(library: Path) -> None:
+def test_a_program_that_ends_by_itself_ends_the_rehearsal(library: Path) -> None:
     node = CNode(library)
     rehearsal = Rehearsal(items_named(["handshake", "static-b", "end"]), gps=False)
     for now_ns in range(PHASE_NS, 4_000 * MS, CYCLE_NS):
@@ -195,12 +199,12 @@ def test_a_program_that_ends_by_itself_is_a_failure_and_ends_the_rehearsal(libra
     assert results["static-b"].verdict is Verdict.NOT_SEEN
 
 
-def test_the_pattern_of_the_handshake_tells_an_inverse_from_an_echo_one_frame_late() -> None:
+def test_the_pattern_tells_an_inverse_from_an_echo_a_frame_late() -> None:
     changes = [before != after for before, after in pairwise((*PATTERN, PATTERN[0]))]
     assert 0.3 < sum(changes) / len(changes) < 0.7
 
 
-def test_every_item_has_a_scene_that_shows_it_and_every_scene_an_item() -> None:
+def test_every_item_has_a_scene_and_every_scene_an_item() -> None:
     assert {item.scene for item in ITEMS} == set(SCENES)
     assert len({item.slug for item in ITEMS}) == len(ITEMS)
 
@@ -223,7 +227,7 @@ def test_the_page_is_whole_and_needs_nothing_from_elsewhere(some: list[Result]) 
     assert not re.search(r"src=|href=|http:|https:|<script", made)
 
 
-def test_text_and_json_say_what_was_asked_where_something_is_wrong(some: list[Result]) -> None:
+def test_text_and_json_say_what_was_asked_where_it_is_wrong(some: list[Result]) -> None:
     said = text(some)
     assert "FAIL      SELECTED" in said and "asked (interface specification v4.0):" in said
     assert said.splitlines()[-1] == line(some) == "NOT PASSED: 2 as asked, 1 with notes, 1 not as asked"
@@ -232,7 +236,7 @@ def test_text_and_json_say_what_was_asked_where_something_is_wrong(some: list[Re
     assert [item["result"] for item in found["items"]] == ["pass", "fail", "pass", "note"]
 
 
-def test_the_verb_takes_what_follows_the_dashes_for_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_follows_the_dashes_is_the_programs(capsys: pytest.CaptureFixture[str]) -> None:
     parser = Parser()
     add_arguments(parser)
     args = parse(parser, ["-i", "vcan7", "--only", "end", "--", "./node", "--only", "x"])
@@ -241,3 +245,21 @@ def test_the_verb_takes_what_follows_the_dashes_for_the_program(capsys: pytest.C
         run(parse(parser, ["--only", "nothing"]))
     assert run(parse(parser, ["--list", "--json"])) == 0
     assert [item["slug"] for item in json.loads(capsys.readouterr().out)] == [item.slug for item in ITEMS]
+
+
+def test_ctrl_c_ends_the_program_too_and_leaves_a_result(tmp_path: Path) -> None:
+    pid, out = tmp_path / "pid", tmp_path / "out"
+    bus = f"loopback:rehearse-{os.getpid()}"
+    own = (sys.executable, "-m", "fsai_vcu.cli.main", "rehearse", "-i", bus, "-o", str(out))
+    rehearse = subprocess.Popen(
+        (*own, "--", "sh", "-c", f"echo $$ > {pid}; exec sleep 600"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    await_condition(lambda: pid.exists() and bool(pid.read_text()), 60.0, "the program has been started")
+    rehearse.send_signal(signal.SIGINT)
+    said, _ = rehearse.communicate(timeout=60.0)
+    assert rehearse.returncode == 130, said
+    assert not Path(f"/proc/{int(pid.read_text())}").exists()
+    assert json.loads((out / "result.json").read_text())["ended"] == "ended by SIGINT"

@@ -37,7 +37,7 @@ def test_the_simulator_toggles_every_10_ms_whatever_is_received() -> None:
         assert [image.handshake for image in bench.images(VcuStatus)] in sent
 
 
-def test_the_simulator_takes_an_inverted_echo_for_which_the_car_stops() -> None:
+def test_the_simulator_takes_an_inverse_for_which_the_car_stops() -> None:
     for kind, survives in ((SPECIFICATION, False), (OFFICIAL_SIMULATOR, True)):
         bench = Bench("2021", kind).to_driving()
         bench.run(100 * MS)
@@ -46,7 +46,7 @@ def test_the_simulator_takes_an_inverted_echo_for_which_the_car_stops() -> None:
         assert (bench.state is AsState.AS_DRIVING) is survives
 
 
-def test_a_vcu_that_judges_once_a_cycle_lets_torque_and_brake_change_in_one_call() -> None:
+def test_torque_and_brake_may_change_in_one_call_by_the_cycle() -> None:
     for by_frame in (True, False):
         bench = Bench("2026", replace(SPECIFICATION, pedals_judged_by_frame=by_frame)).to_driving()
         bench.say(rear_torque_nm=0.0, front_brake_pct=20.0, rear_brake_pct=20.0)

@@ -23,7 +23,7 @@ ENOUGH: Final = 50  # frames: half a second of one thing
 WANTED_DEG: Final = 3.0
 WENT_DEG: Final = 1.0  # more than its backlash
 FOLLOWS_NS: Final = 150 * MS  # in which the steering has begun to follow
-NEARLY_ALL: Final = 0.9
+MOSTLY: Final = 0.5  # on the way back to straight, both signs agree
 SAYS_NS: Final = 1 * S
 TOGETHER_NS: Final = 5 * PERIOD_NS  # a frame that the recording lost makes them meet for one or two
 _TORQUES: Final = (sig.TORQUE_F, sig.TORQUE_R)
@@ -62,7 +62,7 @@ def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
     went = angle - measured.sampled(then_ns)
     rows = _driving(record, times, part_ns) & (np.abs(wanted) >= WANTED_DEG) & (np.abs(went) >= WENT_DEG)
     against = rows & (wanted * went < 0.0)
-    if against.sum() < ENOUGH or against.sum() < NEARLY_ALL * rows.sum():
+    if against.sum() < ENOUGH or against.sum() < MOSTLY * rows.sum():
         return
     first = int(np.flatnonzero(against)[0])
     text = (

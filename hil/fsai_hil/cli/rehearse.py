@@ -8,7 +8,6 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -94,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         results = rehearsal.results()
         about = {
             "program": shlex.join(args.command) or "started by somebody else",
-            "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            "date": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
             "bus": args.interface,
             "revision": args.revision,
             "profile": args.profile,

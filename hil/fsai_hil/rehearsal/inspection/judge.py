@@ -562,7 +562,9 @@ class InspectionJudge:
         if item.slug not in self._shown:
             why = self.why_not.get(item.scene) or "the rehearsal ended before it"
             return Result(item, Verdict.NOT_SEEN, (*words, why))
-        shown = tuple(dict.fromkeys(facts))[:3]
+        shown = tuple({_NUMBERS.sub("", each): each for each in reversed(facts)}.values())[::-1][
+            :3
+        ]  # the first of a kind
         return Result(item, Verdict.NOTE if found else Verdict.PASS, (*words, *shown))
 
     def _judge_messages(self) -> None:
@@ -594,7 +596,7 @@ class InspectionJudge:
             lengths = ", ".join(str(BY_ID[can_id].dlc) for can_id in AI_IDS)
             self.show(
                 "messages",
-                f"every {min(means):.2f} to {max(means):.2f} ms, {max(longest):.1f} ms apart at most; {lengths} bytes",
+                f"every {max(means):.2f} ms, {max(longest):.1f} ms apart at most; {lengths} bytes",
             )
         if sum(self._orders.values()) < 10:
             return

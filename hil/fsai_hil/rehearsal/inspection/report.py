@@ -19,11 +19,12 @@ WORDS: Final = {
 _WIDTH: Final = 110
 _STYLE: Final = """
 @page { size: A4; margin: 10mm }
-body { font: 8.5pt/1.25 sans-serif; margin: 1em auto; max-width: 190mm; color: #111; background: #fff }
+body { font: 7.5pt/1.2 sans-serif; margin: 0 auto; max-width: 190mm; color: #111; background: #fff }
 h1 { font-size: 14pt; margin: 0 } p { margin: 2pt 0 6pt }
 table { border-collapse: collapse; width: 100% } tr { break-inside: avoid }
-td, th { border-top: 0.5pt solid #999; padding: 1.5pt 4pt; text-align: left; vertical-align: top }
-td:first-child { font-weight: bold; white-space: nowrap } small { color: #555; font-size: 7pt }
+td, th { border-top: 0.5pt solid #999; padding: 1pt 4pt; text-align: left; vertical-align: top }
+td:first-child { font-weight: bold; white-space: nowrap } td:nth-child(2) { width: 17% } td:nth-child(3) { width: 45% }
+small { color: #555; font-size: 6.5pt }
 .fail td:first-child { background: #c62828; color: #fff } .pass td:first-child { color: #2e7d32 }
 .note td:first-child { color: #b26a00 } .notseen td:first-child { color: #666 }
 """
@@ -68,8 +69,8 @@ def page(results: Sequence[Result], about: Mapping[str, Any]) -> str:
     )
     rows = "".join(
         f'<tr class="{result.verdict.name.lower().replace("_", "")}"><td>{escape(result.verdict.value.upper())}</td>'
-        f"<td>{escape(result.item.title)}<br><small>{escape(result.item.slug)}</small></td>"
-        f"<td>{escape(result.item.asks)}<br><small>{escape(result.item.source)}</small></td>"
+        f"<td>{escape(result.item.title)}</td>"
+        f"<td>{escape(result.item.asks)} <small>({escape(result.item.source)})</small></td>"
         f"<td>{'<br>'.join(escape(each) for each in result.seen)}</td></tr>\n"
         for result in results
     )
