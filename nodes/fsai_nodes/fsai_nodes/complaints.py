@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from typing import Literal
-from weakref import WeakKeyDictionary
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -73,18 +72,9 @@ class Complaints:
         self._diagnostics.publish(message)
 
 
-_of_nodes: WeakKeyDictionary[Node, Complaints] = WeakKeyDictionary()
-
-
-def complaints_of(node: Node) -> Complaints:
-    """The node's one."""
-    if node not in _of_nodes:
-        _of_nodes[node] = Complaints(node)
-    return _of_nodes[node]
-
-
-def silent_complaints_of(node: Node) -> Complaints:
-    """The node's one, of a program that publishes nothing: in the log alone."""
-    if node not in _of_nodes:
-        _of_nodes[node] = Complaints(node, publishes=False)
-    return _of_nodes[node]
+def complaints_of(node: Node, *, publishes: bool = True) -> Complaints:
+    """The node's one, made at the first call."""
+    found: Complaints | None = getattr(node, "complaints", None)
+    if found is None:
+        found = node.complaints = Complaints(node, publishes=publishes)
+    return found

@@ -21,7 +21,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.service import Service
 
-from fsai_nodes.complaints import complaints_of, silent_complaints_of
+from fsai_nodes.complaints import complaints_of
 from fsai_nodes.declarations import BYTES, DECLARED, MOST_BYTES, declared, key_of
 from fsai_nodes.fields import Parts, Several, printable
 from fsai_nodes.middleware import Taker, gid_of, taker
@@ -88,7 +88,7 @@ class Door:
     def __init__(self, node: Node, *, publishes: bool = True) -> None:
         """publishes: complaints go to /diagnostics, too."""
         self._node = node
-        self.complaints = complaints_of(node) if publishes else silent_complaints_of(node)
+        self.complaints = complaints_of(node, publishes=publishes)
 
     def subscription(
         self,
