@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntEnum
+from typing import get_type_hints
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -15,7 +16,6 @@ from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, RunState
 from fsai_msgs.msg import VehicleCommand as VehicleCommandMsg
 from fsai_msgs.msg import VehicleState as VehicleStateMsg
 from geometry_msgs.msg import PoseStamped
-from msgspec.structs import fields
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 
@@ -129,12 +129,12 @@ def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan:
 # ---------------------------------------------------------------- command
 
 
-_COMMANDED = {each.name: str(each.type) for each in fields(VehicleCommand) if each.name != "t_sensor_ns"}
+_COMMANDED = {name: kind for name, kind in get_type_hints(VehicleCommand).items() if name != "t_sensor_ns"}
 """The fields of a command that the message has by the same names, and their types."""
 
 
 def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
-    plain = {"bool": bool, "float": float, "int": _count, "str": str}
+    plain = {bool: bool, float: float, int: _count, str: str}
     message = VehicleCommandMsg(**{name: plain[kind](getattr(command, name)) for name, kind in _COMMANDED.items()})
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME
