@@ -76,8 +76,8 @@ def _give(keystore: Path) -> str:
     lacking = ""
     try:
         service, operators = pwd.getpwnam(SERVICE_USER).pw_uid, grp.getgrnam(OPERATORS).gr_gid
-    except KeyError as error:
-        lacking = f"{error.args[0]}; make install, or the package, makes user {SERVICE_USER} and group {OPERATORS}"
+    except KeyError:
+        lacking = f"user {SERVICE_USER} or group {OPERATORS} is missing here; make install, or the package, makes both"
     else:
         if os.geteuid() != 0:
             lacking = f"sudo fsai-vcu enclaves gives them to user {SERVICE_USER} and group {OPERATORS}"
