@@ -18,13 +18,14 @@ PROGRAM: Final = "fsai-vcu rehearse"
 EXAMPLE = (
     "fsai-vcu rehearse -i vcan0 -- ./own_can_node vcan0\n"
     "  fsai-vcu rehearse -i vcan0 --only handshake,static-a -- ros2 launch my_stack car.launch.py\n"
-    "  fsai-vcu rehearse -i can0          # the program is started by hand, here or on another machine"
+    "  fsai-vcu rehearse -i can0 -o out/can0"
 )
 ABOUT = """\
 Starts the program, and a simulated VCU and car on the same bus, and plays what
 happens to a car: power-up, missions chosen and taken back, Go, static inspections,
 autonomous demo, E-stop, messages that fall silent, power cycles. It takes five
 minutes. Exit status: 0 where every item was seen as asked, 1 where not.
+Without COMMAND somebody else starts the program, here or on another machine.
 In DIR: result.html (one page to print), result.json, bus.log, program.log."""
 
 
