@@ -188,7 +188,7 @@ def test_mcap_has_a_channel_per_message_with_the_same_values(
         assert message.stamp.sec * 1_000_000_000 + message.stamp.nanosec == log_ns
         name = topic.removeprefix("/can0/")
         names = {field.lower(): field for field in decoded[name][0]} | {"first": "First", "second": "Second"}
-        values = {names[field]: getattr(message, field) for field in message.__struct_fields__ if field in names}
+        values = {names[field]: getattr(message, field) for field in message.__dataclass_fields__ if field in names}
         found[name].append({"time": log_ns // 1000, **values})
     assert set(found) == set(decoded)
     for name, rows in decoded.items():
