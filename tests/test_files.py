@@ -65,6 +65,16 @@ def test_only_a_regular_file_of_one_name_is_opened_where_found(trap: str, tmp_pa
     assert victim.read_bytes() == WORDS
 
 
+def test_what_becomes_a_link_while_it_is_opened_is_refused(
+    tmp_path: Path, victim: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "found").symlink_to(victim)
+    regular = victim.lstat()
+    monkeypatch.setattr(Path, "lstat", lambda _: regular)
+    with pytest.raises(OSError, match="it is a link, not a file"):
+        open_found(tmp_path / "found", write=True)
+
+
 @pytest.mark.parametrize("trap", TRAPS)
 def test_a_lock_takes_the_place_of_what_cannot_be_one(trap: str, tmp_path: Path, victim: Path) -> None:
     place = tmp_path / ".lock"
