@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
-from pathlib import Path
 from typing import cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -23,6 +22,7 @@ from rclpy.parameter import Parameter
 
 from fsai_nodes.fields import shown
 from fsai_nodes.middleware import on_parameters
+from fsai_vcu.files import SETTINGS_BYTES, read_named
 from fsai_vcu.runtime.configuration import KEYS
 
 Value = bool | int | float | str
@@ -139,11 +139,15 @@ def _is_wildcard(node: str) -> bool:
 
 
 def yaml_of(file: str) -> object:
+    """The content of a parameter file; None where it cannot be read, or says things by reference, which may expand."""
     import yaml
 
     try:
-        return yaml.safe_load(Path(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        text = read_named(file, SETTINGS_BYTES)
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            return None
+        return yaml.safe_load(text)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
         return None
 
 

@@ -56,11 +56,13 @@ from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.values import shortened
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.configuration import SAME_AS_REVISION
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.link import LoopSettings
 from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process
+from fsai_vcu.runtime.toml_lines import parse_toml, words_of
 
 _CONFIG = BridgeConfig()
 _DIAGNOSTICS_PERIOD_S = 1.0
@@ -635,9 +637,10 @@ def limits_of(text: str) -> OperationalLimits | None:
     if "=" not in text:
         return read_limits(text.strip())
     try:
-        return parse_limits(tomllib.loads(text.replace(",", "\n").replace(";", "\n")))
+        return parse_limits(parse_toml(text.replace(",", "\n").replace(";", "\n")))
     except tomllib.TOMLDecodeError as error:
-        raise LimitsError(f"parameter limits is '{text}', not like max_speed_mps=5.0: {error}") from error
+        words = f"parameter limits is '{shortened(text)}', not like max_speed_mps=5.0: {words_of(error)}"
+        raise LimitsError(words) from error
 
 
 def wheel_mapping_of(text: str) -> WheelMapping:
