@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -173,7 +174,7 @@ NEVER_ENDS = {
 @pytest.mark.parametrize("name", NEVER_ENDS)
 def test_a_run_that_exceeds_the_longest_time_is_unsafe(name: str, ran_out: bool) -> None:
     made, over, unsafe = NEVER_ENDS[name]
-    seen = replace(made, ran_out=ran_out, mission_over_ns=FAULT_NS + 2500 * MS if over else None)
+    seen = dataclasses.replace(made, ran_out=ran_out, mission_over_ns=FAULT_NS + 2500 * MS if over else None)
     verdict = judge(case("speeds_frozen", duration=100), seen, FAULT_NS, ())
     assert (verdict.end is End.UNSAFE) is (ran_out and unsafe)
     assert verdict.ok is not (ran_out and unsafe)
