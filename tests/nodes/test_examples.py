@@ -16,7 +16,7 @@ from fsai_nodes import qos
 from fsai_vcu.interface.enums import Ami, AsState
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-NAMES = sorted(path.name for path in EXAMPLES.iterdir() if path.is_dir())
+NAMES = sorted(path.parent.name for path in EXAMPLES.glob("*/package.xml"))  # those that are ROS 2 packages
 
 
 def example(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
