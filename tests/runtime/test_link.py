@@ -26,7 +26,6 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.values import Value, shortened
 from fsai_vcu.runtime.link import (
     LARGEST_BYTES,
-    URGENT,
     Alive,
     Answer,
     Ask,
@@ -326,7 +325,7 @@ def test_the_loops_process_survives_every_datagram() -> None:
 # ---------------------------------------------------------------- a full lane, and a blocked one
 
 
-@pytest.mark.parametrize("what", sorted(URGENT))
+@pytest.mark.parametrize("what", ["emergency_brake", "reset", "deactivate"])
 def test_what_stops_the_car_arrives_before_a_lane_that_is_full(what: Any, ends: tuple[LinkEnd, LinkEnd]) -> None:
     edge, loop = ends
     assert fill(edge, VehicleCommand(0, 1, note="n" * 160)) > 10
