@@ -118,7 +118,7 @@ def test_the_second_on_an_interface_is_refused_by_name(loop: LoopHandle, spec: s
     second = start_loop_process(spec)
     try:
         second.configure(settings(spec))
-        with pytest.raises(LoopError, match=rf"another bridge \(process {loop.pid}\) already drives"):
+        with pytest.raises(LoopError, match=rf"another bridge \(process {loop.pid} of user [^)]+\) already drives"):
             second.activate(1)
     finally:
         second.close()

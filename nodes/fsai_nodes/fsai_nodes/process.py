@@ -39,7 +39,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     try:
         configured = Configured(sys.argv if arguments is None else arguments, name)
         transport = set_transport(os.environ)
-        no_files = log_trouble(os.environ)
+        no_files = log_trouble(os.environ) if configured.writes_logs else ""
         quiet = ["--ros-args", "--disable-external-lib-logs", "--"] if no_files else []
         rclpy.init(args=[*configured.arguments, *quiet], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # NodeError; and what a bad --ros-args raises has no class of its own
@@ -61,7 +61,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
             executor.add_node(nodes[-1])
         for line in filter(None, (*configured.lines, transport)):
             nodes[0].get_logger().info(line)
-        if no_files and configured.writes_logs:
+        if no_files:
             nodes[0].get_logger().warning(no_files)
         if not any(getattr(node, "tells_systemd", False) for node in nodes):
             _tell_systemd(nodes[0])
