@@ -398,7 +398,7 @@ def test_a_vcu_that_never_sets_its_states_is_not_stopped() -> None:
 
 
 @pytest.mark.parametrize(("data_ms", "drives"), [(400, True), (499, True), (500, False), (690, False)])
-def test_a_command_ages_from_when_it_came_and_its_data_from_their_stamp(data_ms: int, drives: bool) -> None:
+def test_a_command_ages_from_arrival_data_from_their_stamp(data_ms: int, drives: bool) -> None:
     """Data of 400 ms are no command of 400 ms."""
     rig = driven()
     asks, rig.command = rig.command, None
@@ -533,7 +533,7 @@ def test_another_revision_is_named_from_its_tenth_frame_on(ours: str, theirs: st
 
 
 @pytest.mark.parametrize("pause_ns", [1 * S - 1, 1 * S])
-def test_frames_of_another_revision_count_anew_after_a_pause_of_1_s(pause_ns: int) -> None:
+def test_after_1_s_frames_of_another_revision_count_from_0(pause_ns: int) -> None:
     bridge = bridge_of("2026")
     for n in range(9):
         bridge.on_frame(telling_of("2021", n * CYCLE))
@@ -541,7 +541,7 @@ def test_frames_of_another_revision_count_anew_after_a_pause_of_1_s(pause_ns: in
     assert bridge.report(10 * S).reason_counts == ({"other_revision": 1} if pause_ns < S else {})
 
 
-def test_another_revision_that_begins_in_mid_run_beside_the_car_is_logged() -> None:
+def test_another_revision_that_begins_in_mid_run_is_logged() -> None:
     rig = driven()
     rig.alive = lambda rig: rig.bridge.on_frame(telling_of("2021", rig.now_ns))
     rig.run_ms(90)

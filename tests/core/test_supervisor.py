@@ -758,7 +758,7 @@ def on_data(age_ns: int, at_ns: int, situation: Situation) -> Situation:
 
 
 @pytest.mark.parametrize("data_ns", [500 * MS, 600 * MS, 699 * MS])
-def test_commands_on_old_data_end_the_drive_after_300_ms_however_often_they_come(data_ns: int) -> None:
+def test_commands_on_old_data_end_the_drive_after_300_ms(data_ns: int) -> None:
     situation, decision = cycle(on_data(data_ns, NOW, driving()))
     assert (decision.phase, decision.reasons) == (Phase.HOLDING, {Reason.COMMAND_STALE})
     for after_ns in (*range(10 * MS, 300 * MS, 10 * MS), 300 * MS - 1):
@@ -809,7 +809,7 @@ def test_torque_returns_after_100_ms_of_known_as_states() -> None:
     assert words == {Reason.AS_STATE_UNKNOWN: "known again for 50 ms"}
 
 
-def test_an_as_state_that_flickers_gives_no_torque_for_as_long_as_it_does() -> None:
+def test_an_as_state_that_flickers_gives_no_torque() -> None:
     state, inputs = driving()
     for after_ns in range(0, 2000 * MS, 20 * MS):
         state = receive(doubted(state, NOW + after_ns), DRIVING, NOW + after_ns + 10 * MS)

@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.monitor.snapshot import Picture
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.pitwall.board import events_of, state_of
 from fsai_vcu.diagnostics.pitwall.server import Server
+from fsai_vcu.diagnostics.serving import Connection
 from fsai_vcu.interface.units import S
 
 pytestmark = needs_browser
@@ -207,9 +208,9 @@ def test_lost_values_are_grey_at_once_until_they_come_again(
     asked = []
     stream = Server._stream
 
-    async def counted(server: Server, request: BaseRequest) -> StreamResponse:
+    async def counted(server: Server, request: BaseRequest, connection: Connection) -> StreamResponse:
         asked.append(request)
-        return await stream(server, request)
+        return await stream(server, request, connection)
 
     monkeypatch.setattr(Server, "_stream", counted)
     with Server("127.0.0.1", 0) as server:

@@ -156,7 +156,7 @@ def test_paths_without_a_point_are_named_where_one_is_needed(mission: int, said:
     assert bool(lines) == said
 
 
-def test_nodes_that_go_by_a_clock_that_nobody_publishes_are_named() -> None:
+def test_nodes_by_a_clock_that_nobody_publishes_are_named() -> None:
     watch = watched()
     watch.by_clock = {"planner": True, "bridge": False}
     (line,) = wrong(watch)
