@@ -116,7 +116,5 @@ def test_own_planner_and_controller_drive_to_as_finished(tmp_path: Path) -> None
     said = driven(tmp_path, "--track", "small_oval", *programs)
     assert "autocross: PASS" in said
     (report,) = (line.split()[1:] for line in said.splitlines() if line.startswith("report "))
-    made = subprocess.run(report, capture_output=True, text=True)
-    # A machine that stood still for 100 ms is a pause on the bus, and no fault of the report that names it.
-    assert made.returncode == 0 or "verdict: NOT OK" in made.stdout, made.stderr
+    assert subprocess.run(report, stdout=subprocess.DEVNULL).returncode == 0
     assert (tmp_path / "report.html").stat().st_size > 10_000
