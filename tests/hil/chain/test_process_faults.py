@@ -124,7 +124,8 @@ def test_without_fresh_data_the_car_stops_for_good(
     rules_kept(drive)
 
 
-@pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
+@long
+@pytest.mark.parametrize("hang_s", [0.2, 5.0])
 def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: BusWatch, hang_s: float) -> None:
     loop = chain.pids["CAN loop"]
     stopped_ns, late_ns = send_signal(loop, signal.SIGSTOP)

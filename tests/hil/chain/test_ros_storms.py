@@ -116,8 +116,7 @@ def storm(chain: Chain, results: Path, kinds: Sequence[tuple[str, str]], count: 
 
 
 def test_the_car_drives_on_while_ros_programs_come_and_go(chain: Chain, results: Path) -> None:
-    kinds = (("shared memory", "leave"), ("loopback profile", "killed"), ("shared memory", "hang"))
-    storm(chain, results, kinds, 1)
+    storm(chain, results, (("loopback profile", "hang"),), 1)  # it keeps what it has joined, and reads nothing
 
 
 @pytest.mark.long
