@@ -11,7 +11,6 @@ import difflib
 import math
 import os
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +25,7 @@ from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.wheels import WHEELS, WheelMapping
 from fsai_vcu.runtime.limits_file import read_limits
-from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, tomllib, words_of
 from fsai_vcu.runtime.transport import LOOPBACK, NETWORKS
 
 USUAL_PATH = Path("/etc/fsai/fsai.toml")

@@ -7,11 +7,10 @@ max_steer_deg = 20
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
-from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, tomllib, words_of
 
 
 def read_limits(path: Path | str) -> OperationalLimits:

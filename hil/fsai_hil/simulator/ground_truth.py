@@ -12,9 +12,12 @@ import json
 import math
 import socket
 from dataclasses import asdict, dataclass, fields
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final
 
 from fsai_hil.simulator.car import Pose
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 25_510
