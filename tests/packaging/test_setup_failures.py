@@ -10,9 +10,11 @@ import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 # Each as seen where it was provoked; of others' notes only as many as there were.
-DEPRECATION = "  DEPRECATION: fsai-nodes is being installed using the legacy 'setup.py install' method, because it failed"
+DEPRECATION = (
+    "  DEPRECATION: fsai-nodes is being installed using the legacy 'setup.py install' method, because it failed"
+)
 NO_INDEX = """\
-WARNING: Retrying (Retry(total=0, connect=None)) after connection broken by 'NewConnectionError('<pip._vendor.urllib3>: \
+WARNING: Retrying (Retry(total=0, connect=None)) after connection broken by 'NewConnectionError('<pip._vendor>: \
 Failed to establish a new connection: [Errno -3] Temporary failure in name resolution')': /simple/pip/
 ERROR: Could not find a version that satisfies the requirement pip<27,>=24.1 (from versions: none)
 ERROR: No matching distribution found for pip<27,>=24.1
@@ -33,7 +35,10 @@ CMake Error at .venv/share/cmake-4.1/Modules/CMakeTestCCompiler.cmake:67 (messag
 build-messages: building fsai_msgs failed
 """
 ANOTHERS = "ERROR: Could not install packages due to an OSError: [Errno 13] Permission denied: '.venv/bin/pip'\n"
-NO_APT = "E: Failed to fetch http://mirror/g/gcc.deb  Temporary failure resolving 'mirror'\nE: Unable to fetch some archives\n"
+NO_APT = """\
+E: Failed to fetch http://mirror/g/gcc.deb  Temporary failure resolving 'mirror'
+E: Unable to fetch some archives, maybe run apt-get update or try with --fix-missing?
+"""
 KILLED = "scripts/setup: line 100: 4242 Killed\n"
 STRANGE = "one thing\nand another\n"
 
