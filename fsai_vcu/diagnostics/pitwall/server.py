@@ -54,21 +54,25 @@ class Server:
             self.socket.close()
             raise
         self.server_address = self.socket.getsockname()
-        self._runner = asyncio.Runner(loop_factory=asyncio.new_event_loop)
+        self._loop = asyncio.new_event_loop()
         self._ended, self._news = asyncio.Event(), asyncio.Event()
         self._published: dict[str, tuple[int, bytes]] = {}
         self._number = self.viewers = 0
 
     def __enter__(self) -> Server:
-        self._loop = self._runner.get_loop()
-        self._thread = threading.Thread(target=self._runner.run, args=(self._serve(),), daemon=True)
+        self._thread = threading.Thread(target=self._loop.run_until_complete, args=(self._serve(),), daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._loop.call_soon_threadsafe(self._ended.set)
         self._thread.join()
-        self._runner.close()
+        left = asyncio.all_tasks(self._loop)
+        for task in left:
+            task.cancel()
+        if left:
+            self._loop.run_until_complete(asyncio.wait(left))
+        self._loop.close()
 
     def publish(self, event: str, data: dict[str, Any]) -> None:
         """To every viewer, in place of the event of that name before."""
@@ -111,10 +115,10 @@ class Server:
         self.viewers += 1
         try:
             while not self._ended.is_set():
-                connection.patience.reschedule(self._loop.time() + TIMEOUT_S)
+                connection.end_within(TIMEOUT_S)
                 await writer.write(block)
                 await writer.drain()
-                connection.patience.reschedule(None)
+                connection.end_within(None)
                 if number == self._number:
                     await self._news.wait()
                 block = b"".join(each for at, each in self._published.values() if at > number)
@@ -127,11 +131,18 @@ class Server:
 
 
 class _Connection(web.RequestHandler):
-    """`patience` ends it: of a stream that of one write, else that of all."""
+    """It has its time: a stream for each write, any other connection for all that it does."""
 
     def __init__(self, manager: web.Server, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(manager, loop=loop)
-        self.manager = manager
+        self.manager, self.loop = manager, loop
+        self.deadline: asyncio.TimerHandle | None = None
+
+    def end_within(self, timeout_s: float | None) -> None:
+        """Cut the connection then, unless this is called again before; None: let it be."""
+        if self.deadline:
+            self.deadline.cancel()
+        self.deadline = self.loop.call_later(timeout_s, self.transport.abort) if self.transport and timeout_s else None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -139,13 +150,11 @@ class _Connection(web.RequestHandler):
             self.force_close()
 
     async def start(self) -> None:
-        transport = self.transport
-        assert transport
+        self.end_within(TIMEOUT_S)
         try:
-            async with asyncio.timeout(TIMEOUT_S) as self.patience:
-                await super().start()
-        except TimeoutError:
-            transport.abort()
+            await super().start()
+        finally:
+            self.end_within(None)
 
     def handle_error(self, request: web.BaseRequest, status: int = 500, *why: Any, **words: Any) -> web.StreamResponse:
         """Of what is no request, or of an error of ours."""
