@@ -378,17 +378,12 @@ def _speeds() -> Iterator[tuple[str, str, str]]:
 def machines() -> str:
     """What `make fresh-machine` has tried, a line for each trial."""
     rows = json.loads(_read("fresh-machines.json"))
+    results = (f"passed, {row['date']}" if row["passed"] else f"**failed**: {row['failed']}" for row in rows)
     return _table(
-        ("a machine that had nothing", "tried there", "result"),
+        ("a machine that had nothing", "tried there", "commands", "result"),
         (
-            (
-                f"{row['system']}, {row['python']}",
-                row["what"],
-                (f"passed: {', '.join(f'{done} {took} s' for done, took in row['took_s'].items())}")
-                if row["passed"]
-                else f"**failed**: {row['failed']}",
-            )
-            for row in rows
+            (f"{row['system']}, {row['python']}", row["what"], ", ".join(row["commands"]), result)
+            for row, result in zip(rows, results, strict=True)
         ),
     )
 
