@@ -7,9 +7,11 @@ import sys
 from collections.abc import Iterator, Mapping
 
 if sys.version_info >= (3, 11):
-    import tomllib as tomllib
+    import tomllib
 else:
     import tomli as tomllib
+
+__all__ = ["TomlLines", "line_of", "tomllib", "words_of"]
 
 _AT_LINE = re.compile(r"\(at line (\d+), column \d+\)")
 
