@@ -1,6 +1,8 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
-BIN := .venv/bin
+VENV ?= .venv
+BIN := $(VENV)/bin
+export VENV
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
 .PHONY: $(shell sed -nE 's/^([a-z-]+):.*/\1/p' Makefile)
@@ -16,6 +18,13 @@ Makefile: ;
 ##@ First minutes
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.rehearsal.demo
+
+demo-everywhere:  ## the demo on every Python of this machine that fits, each in an environment of its own (out/python3.X)
+	@source scripts/environment.bash; failed=; \
+	for python in $$(every_python); do \
+	  $(MAKE) demo PYTHON=$$python VENV=out/$${python##*/} || failed+=" $$python"; \
+	done; \
+	[[ ! $$failed ]] || { echo "demo-everywhere: failed on$$failed" >&2; exit 1; }
 
 drive: setup  ## the nodes and the simulated car until the mission is over, their log on the screen; ARGS="mission:=skidpad ..."
 	@$(BIN)/python -m fsai_nodes.launch simulated_car:=true $(ARGS)

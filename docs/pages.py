@@ -11,7 +11,6 @@ import json
 import re
 import runpy
 import sys
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -44,6 +43,7 @@ from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.configuration import KEYS
+from fsai_vcu.runtime.toml_lines import tomllib
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 EVIDENCE: Final = ROOT / "docs" / "evidence"

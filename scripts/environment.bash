@@ -4,7 +4,7 @@
 # pip is brought along: what an interpreter brings may be years old, or none. What builds is named by each pyproject.toml.
 PIP="pip>=24.1,<27"
 
-# 3.11, and one more than 3.13: pyproject.toml alone says it.
+# The oldest, and one more than the newest: pyproject.toml alone says it.
 read -r python_low python_high < <(sed -nE 's/^requires-python = ">=3\.([0-9]+),<3\.([0-9]+)"$/\1 \2/p' pyproject.toml)
 PYTHONS="3.$python_low to 3.$((python_high - 1))"
 
@@ -31,6 +31,19 @@ find_python() {
     fi
   done
   return 1
+}
+
+# every_python: prints the interpreters of this machine that fit, one of each version, oldest first.
+every_python() {
+  local minor candidate
+  for ((minor = python_low; minor < python_high; minor++)); do
+    for candidate in "python3.$minor" {"${PYENV_ROOT:-$HOME/.pyenv}"/versions,~/.local/share/uv/python}/*3."$minor".*/bin/python3."$minor"; do
+      if python_fits "$candidate"; then
+        command -v "$candidate"
+        break
+      fi
+    done
+  done
 }
 
 # ---- a step that fails ----------------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ import runpy
 import shlex
 import subprocess
 import sys
-import tomllib
 from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -19,6 +18,7 @@ import pytest
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.rules.checker import RULES
 from fsai_vcu.cli.main import all_verbs, parser_of
+from fsai_vcu.runtime.toml_lines import tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [

@@ -11,7 +11,6 @@ import difflib
 import math
 import os
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -29,7 +28,7 @@ from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.values import Value
 from fsai_vcu.interface.wheels import WHEELS, WheelMapping
 from fsai_vcu.runtime.limits_file import read_limits
-from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, words_of
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, tomllib, words_of
 from fsai_vcu.runtime.transport import LOOPBACK, NETWORKS
 
 USUAL_PATH = Path("/etc/fsai/fsai.toml")

@@ -7,12 +7,11 @@ max_steer_deg = 20
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.files import SETTINGS_BYTES, read_named
-from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, words_of
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, tomllib, words_of
 
 
 def read_limits(path: Path | str) -> OperationalLimits:

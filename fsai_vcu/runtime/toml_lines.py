@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import re
-import tomllib
+import sys
 from collections.abc import Iterator, Mapping
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["TomlLines", "line_of", "parse_toml", "tomllib", "words_of"]
 
 _AT_LINE = re.compile(r"\(at line (\d+), column \d+\)")
 _DEEPEST = 32  # tables and lists in one another

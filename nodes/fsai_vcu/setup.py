@@ -3,10 +3,14 @@
 The folders beside this file are links to the checkout's own; names, version and entry points are pyproject.toml's.
 """
 
-import tomllib
 from pathlib import Path
 
 from setuptools import find_namespace_packages, setup
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
 
 NAME = "fsai_vcu"
 # With --symlink-install the modules are found where they are, and the databases beside them.

@@ -49,7 +49,8 @@ def fitted(borders: Borders, guesses: Floats, xy_m: Floats, sigma: Floats = TRAC
 
     `sigma` (3,) says how far a guess may be off: it holds what the cones do not determine.
     """
-    poses, prior = guesses.copy(), np.diag(sigma**-2.0)
+    poses: Floats = guesses.copy()
+    prior = np.diag(sigma**-2.0)
     for _ in range(ITERATIONS):
         at = on_course(poses, xy_m)
         residual, normal = borders(at)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.explain.incident import (
@@ -32,7 +32,7 @@ def seconds(story: Explanation, t_ns: int) -> float:
 def extent(story: Explanation) -> str:
     """How long the log is, of which bus, and when it began."""
     heading, began = story.heading, int(story.heading["begin_ns"])
-    when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
+    when = f", {datetime.fromtimestamp(began / 1e9, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
     return f"{heading['seconds']:.1f} s, {heading['frames']} frames on {heading['channel']}{when}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[Rows], None]]:
     """Writes one file. Times are seconds since its start, which is in its header. `begin_ns`: the log's first time."""
     asammdf: Any = import_module("asammdf")
     mdf: Any = asammdf.MDF(version="4.10")
-    mdf.header.start_time = datetime.fromtimestamp(begin_ns / 1e9, UTC)
+    mdf.header.start_time = datetime.fromtimestamp(begin_ns / 1e9, timezone.utc)
     mdf.header.comment = "made by: fsai-vcu export"
     kept_ns = int(mdf.header.abs_time)  # what the header keeps is what the times are relative to
     groups: dict[str, int] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from typing import Final
 
 import numpy as np
@@ -73,7 +73,7 @@ def _seconds(text: str | None, first_ns: int) -> float | None:
         if not math.isfinite(seconds):
             raise ValueError(text)
         return seconds
-    first = datetime.fromtimestamp(first_ns / _SECOND_NS, UTC)
+    first = datetime.fromtimestamp(first_ns / _SECOND_NS, timezone.utc)
     time_of_day = first.replace(hour=int(clock[1]), minute=int(clock[2]), second=0, microsecond=0)  # or a ValueError
     moment = time_of_day + timedelta(seconds=float(clock[3] or 0))
     if first - moment > timedelta(hours=12):  # a log over midnight

@@ -93,11 +93,13 @@ def _stuff_bits(parts: Sequence[Bytes]) -> Bytes:
 @cache
 def _crc_tables() -> Halves:
     """What a byte makes of the checksum by its bits, with so many bytes of zeros behind it: [zeros, byte]."""
-    one, crc = np.uint16(1), np.arange(256, dtype=np.uint16) << np.uint16(7)
+    one = np.uint16(1)
+    crc: Halves = np.arange(256, dtype=np.uint16) << np.uint16(7)
     tables = []
     for _ in range(_MOST_PARTS):
         for _ in range(8):
-            crc = (crc << one ^ (crc >> np.uint16(14) & one) * np.uint16(CRC15)) & np.uint16(0x7FFF)
+            divided = (crc >> np.uint16(14) & one) * np.uint16(CRC15)
+            crc = np.bitwise_xor(crc << one, divided) & np.uint16(0x7FFF)
         tables.append(crc)
     return np.array(tables)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from itertools import groupby, islice
 from typing import Any, Final, NamedTuple
 
@@ -117,7 +117,11 @@ class Verdict:
         """When: seconds since the log's first frame, and the time of day where the log has one."""
         if finding.t_ns is None:
             return ""
-        clock = f" ({datetime.fromtimestamp(finding.t_ns / S, UTC):%H:%M:%S} UTC)" if self.begin_ns > EPOCH_NS else ""
+        clock = (
+            f" ({datetime.fromtimestamp(finding.t_ns / S, timezone.utc):%H:%M:%S} UTC)"
+            if self.begin_ns > EPOCH_NS
+            else ""
+        )
         return f"at {(finding.t_ns - self.begin_ns) / S:.3f} s{clock}: "
 
     def as_dicts(self) -> Iterator[dict[str, Any]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from functools import lru_cache
 from typing import Final
 
@@ -45,7 +45,7 @@ ALTITUDE_M: Final = 143.0
 # Earth's field in the middle of England, north and down
 FIELD_NORTH_UT: Final = 19.2
 FIELD_DOWN_UT: Final = 44.8
-UTC_AT_0: Final = datetime(2026, 7, 15, 9, 0, 0, tzinfo=UTC)
+UTC_AT_0: Final = datetime(2026, 7, 15, 9, 0, 0, tzinfo=timezone.utc)
 
 
 def degrees_and_minutes(angle_deg: float, positive: str, negative: str) -> tuple[int, float, int]:

@@ -11,12 +11,15 @@ import contextlib
 import json
 import math
 import socket
-from typing import Final, Self, get_type_hints
+from typing import TYPE_CHECKING, Final, get_type_hints
 
 from msgspec.structs import asdict
 
 from fsai_hil.simulator.car import Pose
 from fsai_vcu.interface.values import Value
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 25_510

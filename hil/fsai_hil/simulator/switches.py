@@ -5,7 +5,7 @@ Source: the vehicle's interface specification v4.0.
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum
 from typing import Final
 
 from msgspec import Struct
@@ -57,13 +57,16 @@ class Switches(Struct):
 SWITCH_NAMES: Final = Switches.__struct_fields__
 
 
-class Assi(StrEnum):
+class Assi(str, Enum):
     OFF = "off"
     YELLOW = "yellow"
     YELLOW_AND_BLUE = "yellow+blue"
     YELLOW_FLASHING = "yellow flashing"
     BLUE_FLASHING = "blue flashing"
     BLUE = "blue"
+
+    def __str__(self) -> str:
+        return self.value
 
 
 READY_BLUE_NS: Final = 1 * S  # so long blue joins yellow, once Go may be given

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import secrets
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -62,7 +61,7 @@ from fsai_vcu.runtime.configuration import SAME_AS_REVISION
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.link import LoopSettings
 from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process
-from fsai_vcu.runtime.toml_lines import parse_toml, words_of
+from fsai_vcu.runtime.toml_lines import parse_toml, tomllib, words_of
 
 _CONFIG = BridgeConfig()
 _DIAGNOSTICS_PERIOD_S = 1.0

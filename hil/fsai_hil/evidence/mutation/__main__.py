@@ -6,7 +6,6 @@ import argparse
 import os
 import random
 import sys
-import tomllib
 from collections import Counter, deque
 from collections.abc import Container, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,6 +16,7 @@ from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation import trial
 from fsai_hil.evidence.mutation.mutants import Key, Mutant
 from fsai_hil.evidence.work import Record, digest_of, followed
+from fsai_vcu.runtime.toml_lines import tomllib
 
 RECORD = CHECKOUT / "out" / "mutation" / "record.jsonl"
 LIST = Path("tests/evidence/survivors.toml")

@@ -8,7 +8,7 @@ import re
 import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ def machine() -> dict[str, Any]:
 def facts(checkout: Path) -> dict[str, Any]:
     """When, on what and of which sources something was measured."""
     return {
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "versions": versions(),
         "source": source_revision(checkout),
     }
