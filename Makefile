@@ -36,6 +36,9 @@ setup:  ## .venv with everything in it; installs system packages when root, else
 test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	@scripts/test
 
+humble: setup-for-tests  ## the nodes' tests on rclpy reduced to what Humble's has; minutes
+	PYTHONPATH=$(CURDIR)/tests/nodes/humble $(BIN)/pytest -q tests/nodes
+
 lint: setup-for-tests  ## ruff and mypy
 	@scripts/test lint types
 

@@ -21,7 +21,9 @@ os.environ.update(LOOPBACK)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # The checkout's nodes are tested, not a copy that was installed some time ago.
 sys.path.insert(0, str(CHECKOUT / "nodes" / "fsai_nodes"))
-os.environ["PYTHONPATH"] = str(CHECKOUT / "nodes" / "fsai_nodes")
+REDUCED = str(Path(__file__).parent / "humble")  # on PYTHONPATH it makes rclpy what Humble's is, in all processes
+_paths = [REDUCED] if REDUCED in os.environ.get("PYTHONPATH", "").split(":") else []
+os.environ["PYTHONPATH"] = ":".join([*_paths, str(CHECKOUT / "nodes" / "fsai_nodes")])
 
 
 _ABSENT = [name for name in ("rclpy", "fsai_msgs") if find_spec(name) is None]

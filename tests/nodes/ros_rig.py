@@ -48,6 +48,8 @@ from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.bus import open_bus
 
+HUMBLE = not hasattr(Node, "add_post_set_parameters_callback")  # or rclpy reduced to it
+
 PATIENCE_S = 60.0  # of a loaded machine; a condition that holds is seen at once
 # What is answered instead of an answer where the machine kept the CAN loop, or the car, from its processor.
 HELD_UP = (

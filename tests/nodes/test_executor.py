@@ -17,7 +17,7 @@ from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from ros_rig import RosRig, logged
+from ros_rig import HUMBLE, RosRig, logged
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -132,6 +132,7 @@ def test_a_goal_and_a_cancel_callback_may_raise(rig: RosRig) -> None:
     client.destroy()
 
 
+@pytest.mark.skipif(HUMBLE, reason="in Humble it is called when the answer has been given")
 def test_a_parameter_callback_that_raises_is_answered(rig: RosRig) -> None:
     log = rig.log()
     node = rig.add(Node("settable"))

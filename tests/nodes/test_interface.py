@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from ros_rig import RosRig
+from ros_rig import HUMBLE, RosRig
 
 from fsai_hil.simulator.ground_truth import TruthReceiver
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller, visualization
@@ -132,13 +133,17 @@ def test_max_speed_changes_while_the_controller_runs(rig: RosRig) -> None:
     from fsai_vcu.interface.enums import Ami
 
     node = rig.start(vehicle_controller.VehicleController)
+
+    def goes_by(missions: Iterable[Ami], speeds: list[float]) -> Callable[[], bool]:
+        return lambda: [node._controller.max_speed_mps(mission) for mission in missions] == speeds
+
     for speed in (5, 3.5):  # a whole number is a speed too
         assert set_parameter(rig, "vehicle_controller", "max_speed", speed) == (True, "")
-        assert {node._controller.max_speed_mps(mission) for mission in Ami} == {speed}
+        rig.spin_until(goes_by(Ami, [speed] * len(Ami)), "its speed in every mission")
     for name, speed in (("lap_max_speed", 3.4), ("skidpad_max_speed", 3.3), ("acceleration_max_speed", 3.2)):
         assert set_parameter(rig, "vehicle_controller", name, speed) == (True, "")
     missions = (Ami.AUTOCROSS, Ami.TRACKDRIVE, Ami.SKIDPAD, Ami.ACCELERATION, Ami.AUTONOMOUS_DEMO)
-    assert [node._controller.max_speed_mps(mission) for mission in missions] == [3.4, 3.4, 3.3, 3.2, 3.5]
+    rig.spin_until(goes_by(missions, [3.4, 3.4, 3.3, 3.2, 3.5]), "the speeds of missions")
     for value in (0.0, -1.0, 100.0, float("nan"), float("inf"), "fast", True):
         done, reason = set_parameter(rig, "vehicle_controller", "max_speed", value)
         assert not done and "max_speed" in reason
@@ -173,9 +178,11 @@ def test_a_mission_that_the_limit_forbids_is_named_with_its_run(rig: RosRig, cap
 def test_setting_an_unknown_parameter_is_refused_by_suggestion(rig: RosRig) -> None:
     rig.start(path_planner.PathPlanner)
     done, reason = set_parameter(rig, "path_planner", "lapz", 3)
-    assert not done and reason == "unknown parameter lapz: did you mean laps?"
+    of_humble = "undeclared parameter(s): []" if HUMBLE else None  # it refuses it before any node is asked
+    assert not done and (of_humble or "unknown parameter lapz: did you mean laps?") in reason
     done, reason = set_parameter(rig, "path_planner", "zebra", 3)
-    assert not done and reason == "unknown parameter zebra: path_planner has car, laps, range_max_m, horizon_m"
+    words = "unknown parameter zebra: path_planner has car, laps, range_max_m, horizon_m"
+    assert not done and (of_humble or words) in reason
     assert set_parameter(rig, "path_planner", "laps", 3) == (True, "")
 
 

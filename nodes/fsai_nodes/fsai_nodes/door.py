@@ -24,7 +24,7 @@ from rclpy.service import Service
 from fsai_nodes.complaints import complaints_of
 from fsai_nodes.declarations import BYTES, DECLARED, MOST_BYTES, declared, key_of
 from fsai_nodes.fields import Parts, Several, printable
-from fsai_nodes.middleware import Taker, gid_of, taker
+from fsai_nodes.middleware import gid_of, taker
 from fsai_nodes.parameters import NodeError
 from fsai_nodes.qos import TOPICS
 from fsai_vcu.interface.units import S
@@ -125,7 +125,7 @@ class Door:
             else:
                 callback(message)
 
-        return self._subscribe(kind, topic, taken, TOPICS[topic] if qos is None else qos, most)
+        return self._subscribe(kind, topic, taken, TOPICS[topic] if qos is None else qos)
 
     def recorded(
         self, kind: type[Any], topic: str, callback: Callable[[bytes, dict[str, Any]], None], qos: QoSProfile
@@ -141,7 +141,7 @@ class Door:
             else:
                 callback(data, info)
 
-        return self._node.create_subscription(kind, topic, taken, qos, raw=True)
+        return self._subscribe(kind, topic, taken, qos)
 
     def service(self, kind: type[Any], name: str, callback: Callable[[Any, Any], Any]) -> Service:
         """A service whose requests are declared: NodeExecutor refuses the others."""
@@ -215,20 +215,12 @@ class Door:
             words = f"{int(bad.sum())} of {len(items)} left out: {first}"
             self.complaints.say(whole, f"{whole}{f' of {who}' if who else ''}: {words}")
 
-    def _subscribe(self, kind: type[Any], topic: str, taken: Callable[..., None], qos: QoSProfile, most: int) -> Any:
+    def _subscribe(self, kind: type[Any], topic: str, taken: Callable[..., None], qos: QoSProfile) -> Any:
         subscription = self._node.create_subscription(kind, topic, taken, qos, raw=True)
         by_hand = taker()
         if by_hand is not None:
-            subscription.take = _take_with(by_hand)
+            subscription.take = by_hand.take
         return subscription
-
-
-def _take_with(by_hand: Taker) -> Callable[[Any], tuple[bytes, dict[str, Any]] | None]:
-    def take(subscription: Any) -> tuple[bytes, dict[str, Any]] | None:
-        taken = by_hand.take(subscription)
-        return None if taken is None else (taken[0], {"publisher_gid": taken[1]})
-
-    return take
 
 
 def _unpacked(data: bytes, kind: type[Any], most: int) -> tuple[Any, str]:

@@ -7,27 +7,25 @@ A service whose callback raises answers with what its response is by default, su
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Coroutine
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
+from rclpy.executors import ExternalShutdownException, await_or_execute
 from rclpy.node import Node
 from rclpy.service import Service
 
 from fsai_nodes.complaints import complaints_of
 from fsai_nodes.door import refusal_of_request
 from fsai_nodes.fields import printable
+from fsai_nodes.middleware import Take, TakingExecutor
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.interface.units import S
 
 NOTHING_BUT_NS = S  # one that has only raised for so long says so
 
-Take = Callable[[Any], Callable[[], Coroutine[Any, Any, None]] | None]
 
-
-class NodeExecutor(SingleThreadedExecutor):  # type: ignore[misc]  # rclpy has no types
-    """One thread, like rclpy's own, in which no exception of a callback gets out but NodeError."""
+class NodeExecutor(TakingExecutor):
+    """One thread, in which no exception of a callback gets out but NodeError."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)

@@ -1,24 +1,27 @@
 """What depends on rclpy's version, and what rclpy does not tell: all of it is here.
 
-Written for rclpy 7 (Jazzy). rclpy gives a callback no word of who sent a message; the middleware knows it (the GID of
-the publisher), and `Taker` asks for it where the C libraries are laid out as expected. Where they are not, nothing is
-lost but the name.
+Written for rclpy 7 (Jazzy) and 3 (Humble), which is told by what it lacks. rclpy gives a callback no word of who sent
+a message; the middleware knows it (the GID of the publisher), and `Taker` asks for it where the C libraries are laid
+out as expected. Where they are not, nothing is lost but the name.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import SingleThreadedExecutor, await_or_execute
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 
 _GID_BYTES = 16  # what all versions have of it
 _ROOM = 1024  # bytes to begin with; it grows
+
+Take = Callable[[Any], Callable[[], Coroutine[Any, Any, None]] | None]
 
 
 # ---------------------------------------------------------------- publishers and parameters
@@ -30,7 +33,10 @@ def without_events() -> dict[str, Any]:
     Each is one more thing to wait for, every time that a node waits. The subscriptions keep theirs, so a mismatch is
     still reported, on the side where something is missing.
     """
-    from rclpy.event_handler import PublisherEventCallbacks
+    try:
+        from rclpy.event_handler import PublisherEventCallbacks
+    except ModuleNotFoundError:  # Humble
+        from rclpy.qos_event import PublisherEventCallbacks
 
     return {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
 
@@ -41,10 +47,77 @@ def on_parameters(
     accept: Callable[[Iterable[Parameter]], SetParametersResult],
     changed: Callable[[Iterable[Parameter]], None],
 ) -> None:
-    """Have `known` called before parameters are looked at, `accept` before and `changed` after they are set."""
-    node.add_pre_set_parameters_callback(known)
-    node.add_on_set_parameters_callback(accept)
-    node.add_post_set_parameters_callback(changed)
+    """Have `known` called before parameters are looked at, `accept` before and `changed` after they are set.
+
+    Humble refuses unknown ones itself, in its own words, and calls nobody once they are set: there `changed` is called
+    by the executor, as soon as it turns to the node again.
+    """
+    if hasattr(node, "add_post_set_parameters_callback"):
+        node.add_pre_set_parameters_callback(known)
+        node.add_on_set_parameters_callback(accept)
+        node.add_post_set_parameters_callback(changed)
+        return
+    accepted: list[Parameter] = []
+
+    def announce() -> None:
+        were_set = [each for each in accepted if node.get_parameter(each.name).value == each.value]
+        accepted.clear()
+        changed(were_set)
+
+    guard = node.create_guard_condition(announce)
+
+    def accept_and_announce(parameters: Iterable[Parameter]) -> SetParametersResult:
+        given = list(parameters)
+        result = accept(given)
+        if result.successful:
+            accepted.extend(given)
+            guard.trigger()
+        return result
+
+    node.add_on_set_parameters_callback(accept_and_announce)
+
+
+# ---------------------------------------------------------------- the executor
+
+
+class TakingExecutor(SingleThreadedExecutor):  # type: ignore[misc]  # rclpy has no types
+    """One thread, like rclpy's own; `_take_...(entity)` takes what waits, and gives the call that handles it or None.
+
+    Humble takes in one method and handles in another, `_execute_...(entity, taken)`: there the two are put together.
+    """
+
+
+def _take_and_handle(kind: str) -> Callable[[Any, Any], Any]:
+    execute = getattr(SingleThreadedExecutor, f"_execute_{kind}")
+
+    def taken(executor: Any, entity: Any) -> Callable[[], Coroutine[Any, Any, None]]:
+        take = getattr(super(TakingExecutor, executor), f"_take_{kind}", None)
+        found = entity.take_data() if take is None else take(entity)
+
+        async def call() -> None:
+            if kind == "subscription" and entity.raw and found is not None:
+                await await_or_execute(entity.callback, found, {})  # the door's, with nothing known of the sender
+            else:
+                await execute(executor, entity, found)
+
+        return call
+
+    return taken
+
+
+def _make_handler(executor: Any, entity: Any, node: Any, _: Any, execute: Any) -> Any:
+    async def call(_: Any, taken: Callable[[], Coroutine[Any, Any, None]] | None) -> None:
+        if taken is not None:
+            await taken()
+
+    take = getattr(executor, execute.__name__.replace("_execute_", "_take_"))
+    return SingleThreadedExecutor._make_handler(executor, entity, node, take, call)
+
+
+if hasattr(SingleThreadedExecutor, "_execute_timer"):  # Humble
+    for _kind in ("timer", "subscription", "client", "service", "guard_condition", "waitable"):
+        setattr(TakingExecutor, f"_take_{_kind}", _take_and_handle(_kind))
+    TakingExecutor._make_handler = _make_handler
 
 
 # ---------------------------------------------------------------- messages with their sender
@@ -95,8 +168,11 @@ class Taker:
         self._zeroed = rcutils.rcutils_get_zero_initialized_uint8_array
         self._info = (ctypes.c_uint64 * 32)()  # twice what any version fills
 
-    def take(self, subscription: Subscription) -> tuple[bytes, bytes | None] | None:
-        """The next message and the GID of who sent it, if known; None where none is left."""
+    def take(self, subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
+        """The next message, when it was sent and the GID of who sent it, if known; None where none is left.
+
+        The two are `source_timestamp` (ns, 0: not known) and `publisher_gid`, the names that rclpy gives them.
+        """
         taken = self._zeroed()
         self._init(taken, _ROOM, self._allocator)
         try:
@@ -106,7 +182,11 @@ class Taker:
             if status:
                 self._reset_error()
                 return None
-            return ctypes.string_at(taken.buffer, taken.length), self._gid()
+            sent_ns = ctypes.c_int64(self._info[0]).value  # the first field in all versions
+            return ctypes.string_at(taken.buffer, taken.length), {
+                "source_timestamp": sent_ns,
+                "publisher_gid": self._gid(),
+            }
         finally:
             self._free(taken)
 

@@ -88,7 +88,9 @@ class TopicRecorder(Listener):
     def _taker(self, topic: RosTopic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, info: dict[str, Any]) -> None:
             taken_ns = time.time_ns()
-            self._received.append(RosMessage(topic, bytes(data), taken_ns, int(info["source_timestamp"]) or taken_ns))
+            self._received.append(
+                RosMessage(topic, bytes(data), taken_ns, int(info.get("source_timestamp", 0)) or taken_ns)
+            )
 
         return take
 
