@@ -71,7 +71,7 @@ sys.exit(main.main(["completion", "bash"]))
 
 @pytest.mark.parametrize("status", [0, 130])
 def test_ctrl_c_while_a_class_is_made_is_answered_as_ever(status: int, tmp_path: Path) -> None:
-    """A dataclass is made in an exec: interrupted in one, Python would kill itself at its end, whatever was answered."""
+    """In an exec, that is: Python would kill itself by SIGINT at its end, whatever was answered."""
     (tmp_path / "interrupted.py").write_text(INTERRUPTED)
     argv = [sys.executable, "-m", "interrupted", str(status)]
     done = subprocess.run(argv, cwd=tmp_path, stderr=subprocess.PIPE, text=True, check=False)
