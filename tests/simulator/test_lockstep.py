@@ -97,7 +97,7 @@ def test_every_mission_passes_by_the_rules_with_no_guard_acting(
 
 
 def test_the_official_simulators_quirks_are_coped_with() -> None:
-    result = Lockstep(oval(profile="official-simulator")).run()
+    result = Lockstep(WorldSetup(missions=[Ami.AUTONOMOUS_DEMO], profile="official-simulator", gps=False)).run()
     assert result.verdict.result == "pass", result.verdict.reasons
     assert not any("brake" in violation and "together" in violation for violation in result.wire.violations)
 
@@ -105,7 +105,7 @@ def test_the_official_simulators_quirks_are_coped_with() -> None:
 def test_the_same_seed_is_the_same_run_and_another_seed_another() -> None:
     runs = []
     for seed in (3, 3, 4):
-        lockstep = Lockstep(oval(seed=seed))
+        lockstep = Lockstep(WorldSetup(missions=[Ami.ACCELERATION], gps=False, seed=seed))
         drive_until(lockstep, 1.0)
         runs.append((replace(lockstep.world.truth, seed=0), lockstep.computer.report()))
     assert runs[0] == runs[1]
