@@ -16,7 +16,8 @@ from fsai_hil.rehearsal.bench import NODE_START, QUICK, SPEED, bench_node, main,
 def test_quick_prints_a_table_and_writes_every_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bench, "QUICK", QUICK._replace(rounds=2, turns=40, starts=1, missions=("static_inspection_b",), log_frames=2000))
+    little = QUICK._replace(rounds=2, turns=40, starts=1, missions=("static_inspection_b",), log_frames=2000)
+    monkeypatch.setattr(bench, "QUICK", little)
     assert main(["--quick", "-o", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "bench.json").read_text())
     assert found["quick"] is True and found["machine"]["python"] and found["versions"]["cantools"]
