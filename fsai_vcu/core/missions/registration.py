@@ -57,7 +57,7 @@ def fitted(borders: Borders, guesses: Floats, xy_m: Floats, sigma: Floats = TRAC
     `sigma` (3,) says how far a guess may be off: it holds what the cones do not determine.
     """
     poses, precision = guesses.copy(), sigma**-2.0
-    jacobian = np.empty((len(poses), 3, len(xy_m)))
+    prior, jacobian = np.diag(precision), np.empty((len(poses), 3, len(xy_m)))
     for _ in range(ITERATIONS):
         arm_x, arm_y = _seen_at(poses, xy_m)
         residual, jacobian[:, 0], jacobian[:, 1] = borders(arm_x + poses[:, :1], arm_y + poses[:, 1:2])
@@ -67,7 +67,7 @@ def fitted(borders: Borders, guesses: Floats, xy_m: Floats, sigma: Floats = TRAC
         weight = (size < gate_m) * CONE_SIGMA_M**-2 * np.minimum(1.0, 2.0 * CONE_SIGMA_M / np.maximum(size, 1e-9))
         weighted = jacobian * weight[:, None]
         slope = weighted @ residual[..., None] + (precision * (poses - guesses))[..., None]
-        step = np.linalg.solve(weighted @ jacobian.swapaxes(1, 2) + np.diag(precision), slope)[..., 0]
+        step = np.linalg.solve(weighted @ jacobian.swapaxes(1, 2) + prior, slope)[..., 0]
         poses = poses - step
         if np.abs(step).max() < 1e-3:
             break
