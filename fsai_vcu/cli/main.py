@@ -104,6 +104,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             with printable_output():
                 return _run(arguments)
         finally:
+            # Python kills itself by SIGINT at its end when Ctrl-C came in an exec (a dataclass is made in one), even if
+            # that was answered; only another exec makes it forget.
+            exec("")
             sys.stdout.flush()  # not at the end of the process, where nobody could say what went wrong
     except OSError as error:
         if error.errno not in _OF_OUTPUT:

@@ -103,7 +103,6 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
     Raises UserError when no bridge offers it, or none answers in time.
     """
     check_numbers(args, wait=0.0)
-    # Loaded before the node is seen: Python itself ends a program by SIGINT that is interrupted while it makes a class.
     from fsai_vcu.runtime.loop_handle import NO_ANSWER
 
     with operator_node(args.namespace) as node:

@@ -103,7 +103,7 @@ class Codec:
             self._encoders[kind] = layout.encoder(None)
         self._command_encoders = tuple(self._layouts[kind].encoder(names) for kind, names in COMMAND_FIELDS.items())
         self._lacking = tuple(lacking)
-        self.unknown = "" if dbc_paths is None else _lacking_line(paths, self._lacking, _lacking_by_nature(revision))
+        self.unknown = "" if dbc_paths is None else _lacking_line(paths, self._lacking, codec_of(revision)._lacking)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Codec:
         """What a codec says of a frame never changes: copies of a simulation share it."""
@@ -193,6 +193,12 @@ def _check_identity(dbc_name: str, message: Message, paths: Sequence[Path | str]
         )
 
 
+@cache
+def codec_of(revision: Revision) -> Codec:
+    """The codec of a revision's own files, made once: it never changes."""
+    return Codec(revision)
+
+
 def _files(paths: Sequence[Path | str]) -> str:
     return ", ".join(str(path) for path in paths)
 
@@ -201,12 +207,6 @@ def _files(paths: Sequence[Path | str]) -> str:
 
 _Lack = tuple[str, str]  # the name of a signal or message, and what follows
 _NO_MESSAGE: Final = "these messages are not read"
-
-
-@cache
-def _lacking_by_nature(revision: Revision) -> tuple[_Lack, ...]:
-    """What the revision's own files lack: it does not exist in this revision."""
-    return Codec(revision)._lacking
 
 
 def _lacking_line(paths: Sequence[Path | str], lacking: Sequence[_Lack], by_nature: Sequence[_Lack]) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,3 +50,29 @@ def test_a_cone_that_is_too_far_away_to_be_in_metres_is_refused(
     track.write_text(f"tag,x,y\ncar_start,0,0\nblue,{unit},1\n")
     assert main(["drive", "--track", str(track)]) == 1
     assert "far.csv: line 3:" in capsys.readouterr().err
+
+
+INTERRUPTED = """
+import os, signal, sys
+from fsai_vcu.cli import completion, main
+
+def run(args):
+    try:
+        exec("os.kill(os.getpid(), signal.SIGINT)\\nwhile True: pass")
+    except KeyboardInterrupt:
+        if sys.argv[1] == "0":  # the normal end of what goes on until Ctrl-C
+            return 0
+        raise
+
+completion.run = run
+sys.exit(main.main(["completion", "bash"]))
+"""
+
+
+@pytest.mark.parametrize("status", [0, 130])
+def test_ctrl_c_while_a_class_is_made_is_answered_as_ever(status: int, tmp_path: Path) -> None:
+    """In an exec, that is: Python would kill itself by SIGINT at its end, whatever was answered."""
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    argv = [sys.executable, "-m", "interrupted", str(status)]
+    done = subprocess.run(argv, cwd=tmp_path, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (status, "fsai-vcu completion: interrupted\n" * (status != 0))

@@ -165,7 +165,7 @@ def go_after(seconds: float, then: Act | None = None) -> Act:
 
 def up(**switches: object) -> Act:
     """The switches that are turned on; the others are forgotten."""
-    return switch(**{"lvms": True, "asms": True, "tsms": True, "ami": Ami.ACCELERATION, **switches})
+    return switch(**{"lvms": True, "asms": True, "tsms": True, "ami": Ami.AUTONOMOUS_DEMO, **switches})
 
 
 def manual(run: Run) -> None:
@@ -218,7 +218,7 @@ def simulator() -> Run:
 A, P = IncidentKind.ABORT, IncidentKind.STOP
 EDGE = 60 * MS  # an AI computer's gate moves in cycles
 EDGES, SECOND = (25 * MS, 25 * MS), (1 * S, 1 * S)
-skidpad, forward = switch(ami=Ami.SKIDPAD), says(direction=Direction.FORWARD)
+demo, forward = switch(ami=Ami.AUTONOMOUS_DEMO), says(direction=Direction.FORWARD)
 brake_alone = both(say(0x512, torque_nm=0.0), say(0x511, torque_nm=0.0), say(0x514, front_pct=10.0))
 
 ENDS = [
@@ -293,17 +293,17 @@ ENDS = [
     refusal("nobody sends AI data", parked, both(drop(*AI_IDS), up()), "no_ai_data", seconds=6.5, near_ns=SECOND),
     refusal("0x514 never comes", parked, both(drop(0x514), up()), "ai_data_incomplete", seconds=6.5, near_ns=SECOND),
     refusal("no mission", off, nothing, "no_mission", near_ns=(10 * S, 0)),
-    refusal("the AI computer stays manual", off, both(manual, skidpad), "status_not_selected", near_ns=(10 * S, 0)),
-    refusal("RUNNING too early", off, both(mission(Status.RUNNING), skidpad), "status_running"),
-    refusal("FINISHED still", off, both(mission(Status.FINISHED), skidpad), "status_finished"),
-    refusal("ESTOP_REQUEST is latched", off, both(operator, skidpad), "estop_latched"),
-    refusal("an E-stop button is pressed", off, both(switch(car_estop=True), skidpad), "ts_not_running"),
-    refusal("an EBS fault in AS_OFF", off, switch(ebs_fault=True, ami=Ami.SKIDPAD), "ebs_fault"),
+    refusal("the AI computer stays manual", off, both(manual, demo), "status_not_selected", near_ns=(10 * S, 0)),
+    refusal("RUNNING too early", off, both(mission(Status.RUNNING), demo), "status_running"),
+    refusal("FINISHED still", off, both(mission(Status.FINISHED), demo), "status_finished"),
+    refusal("ESTOP_REQUEST is latched", off, both(operator, demo), "estop_latched"),
+    refusal("an E-stop button is pressed", off, both(switch(car_estop=True), demo), "ts_not_running"),
+    refusal("an EBS fault in AS_OFF", off, switch(ebs_fault=True, ami=Ami.AUTONOMOUS_DEMO), "ebs_fault"),
     refusal("no power cycle after an emergency", ready, run_and_forget, "power_cycle", near_ns=(0, 17 * S)),
     # ---- refusals to drive
     refusal("Go after 2 s", ready, go_after(1.5), "go_too_early", seconds=1.0, near_ns=(0, 0)),
     refusal("Go is never given", ready, nothing, "no_go", seconds=5.8, near_ns=(0, 0)),
-    refusal("Go is on from before", off, switch(go=True, ami=Ami.SKIDPAD), "go_held", seconds=8.0),
+    refusal("Go is on from before", off, switch(go=True, ami=Ami.AUTONOMOUS_DEMO), "go_held", seconds=8.0),
     refusal("torque in AS_READY", ready, go_after(5.0, say(0x512, torque_nm=20.0)), "torque_requested", seconds=0.5),
     refusal("steering in AS_READY", ready, go_after(5.0, say(0x513, steer_deg=3.0)), "steering_requested", seconds=0.5),
     refusal("the wheels are turned", ready, go_after(5.0, sense(turned)), "steering_turned", seconds=0.5),

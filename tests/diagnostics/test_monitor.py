@@ -117,7 +117,7 @@ def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_
         # Long after the frames around it are forgotten, it is still known.
         end_ns = int(ended.frames.t_ns[-1])
         last = ended.frames.only(ended.frames.t_ns > end_ns - CYCLE)
-        for step in range(0, 2 * LONG_NS, 50 * MS):
+        for step in range(0, 2 * LONG_NS, 250 * MS):
             view.update(last.at(last.t_ns + CYCLE + step))
         assert view.memory.newest_ns is not None
         assert cause in words(view.picture(view.memory.newest_ns))[0]

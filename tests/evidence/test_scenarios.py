@@ -38,7 +38,7 @@ def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
 
 def test_the_order_in_which_cases_are_driven_changes_nothing() -> None:
     faults = ("steering_sensor_noisy", "wheel_very_noisy")
-    plan = CampaignPlan(5, 2, 0, faults, (Ami.ACCELERATION,), ("2026",), 1, 1000)
+    plan = CampaignPlan(5, 2, 0, faults, (Ami.AUTONOMOUS_DEMO,), ("2026",), 1, 1000)
     forward = drive_batch(plan, [(False, 0), (False, 1)])
     backward = drive_batch(plan, [(False, 1), (False, 0)])
     assert [_untimed(line) for line in forward] == [_untimed(line) for line in reversed(backward)]
@@ -55,14 +55,14 @@ def test_a_run_ends_early_once_nothing_can_happen_any_more() -> None:
 
 
 def test_a_full_length_run_goes_from_power_up_to_the_end() -> None:
-    one = Case("go_off", Ami.ACCELERATION, "2021", 0, Since.READY, 3000, {"chance": 0}, full=True)
+    one = Case("go_off", Ami.AUTONOMOUS_DEMO, "2021", 0, Since.READY, 3000, {"chance": 0}, full=True)
     line = run_case(one, SNAPSHOTS)
     assert line["verdict"] == "ok" and not line["applies"]
     assert line["sim_s"] > 15.0
 
 
 def test_a_replay_is_the_recorded_run(capsys: pytest.CaptureFixture[str]) -> None:
-    plan = CampaignPlan(1, 1, 0, ("manual_asked",), (Ami.ACCELERATION,), ("2026",), 1)
+    plan = CampaignPlan(1, 1, 0, ("manual_asked",), (Ami.AUTONOMOUS_DEMO,), ("2026",), 1)
     recorded = run_case(plan.case(0), SNAPSHOTS)
     arguments = recorded["replay"].split()[1:]
     assert main([*arguments, "--json"]) == 0
@@ -72,7 +72,7 @@ def test_a_replay_is_the_recorded_run(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec, log = "controller_silent:after=5000,duration=1500", tmp_path / "bus.log"
-    assert main(["drive", "--mission", "acceleration", "--fault", spec, "--log", str(log)]) == 0
+    assert main(["drive", "--mission", "autonomous_demo", "--fault", spec, "--log", str(log)]) == 0
     assert " 513#" in log.read_text()
     printed = capsys.readouterr().out
     assert "--fault controller_silent:since=driving,after=5000,duration=1500" in printed

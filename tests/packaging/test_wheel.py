@@ -98,9 +98,9 @@ def test_the_sdist_has_the_sources_and_no_leavings(sdist: Path) -> None:
 
 def test_the_wheel_drives_the_car_in_an_empty_folder(clean: Path, tmp_path: Path) -> None:
     environment = {"PATH": f"{clean / 'bin'}:/usr/bin:/bin", "HOME": str(tmp_path)}
-    command = ["fsai-vcu", "drive", "--mission", "acceleration"]
+    command = ["fsai-vcu", "drive", "--mission", "autonomous_demo"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "acceleration: PASS" in done.stdout, done.stdout + done.stderr
+    assert done.returncode == 0 and "autonomous_demo: PASS" in done.stdout, done.stdout + done.stderr
     where = "import fsai_vcu, fsai_hil; print(fsai_vcu.__path__[0], fsai_hil.__path__[0])"
     found = subprocess.run([clean / "bin" / "python", "-c", where], cwd=tmp_path, capture_output=True, check=True)
     assert all(path.startswith(os.fsencode(clean)) for path in found.stdout.split())

@@ -16,7 +16,8 @@ from fsai_hil.rehearsal.bench import NODE_START, QUICK, SPEED, bench_node, main,
 def test_quick_prints_a_table_and_writes_every_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bench, "QUICK", QUICK._replace(rounds=2, turns=40, starts=1, log_frames=2000))
+    little = QUICK._replace(rounds=2, turns=40, starts=1, missions=("static_inspection_b",), log_frames=2000)
+    monkeypatch.setattr(bench, "QUICK", little)
     assert main(["--quick", "-o", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "bench.json").read_text())
     assert found["quick"] is True and found["machine"]["python"] and found["versions"]["cantools"]
@@ -24,7 +25,7 @@ def test_quick_prints_a_table_and_writes_every_figure(
     node = [NODE_START] if find_spec("rclpy") and find_spec("fsai_msgs") else []
     logs = [f"{name} random, wall" for name in ("decode", "values", "check", "stats", "parquet", "mcap")]
     starts = ["decode a frame", "encode a frame", "answer a 0x520", "start to a first frame", *node]
-    assert list(by_name) == [*starts, *logs, "mf4, wall", "drive acceleration"]
+    assert list(by_name) == [*starts, *logs, "mf4, wall", "drive static_inspection_b"]
     for each in by_name.values():
         for figure in (each["ours"], each["peer"], each["ratio"]):
             assert 0 < figure["least"] <= figure["median"] <= figure["most"]

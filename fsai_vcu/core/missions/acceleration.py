@@ -33,11 +33,9 @@ class StraightLane(Value, frozen=True, eq=False):
     half_width_m: float = 1.5
     found: bool = False
 
-    def borders(self, q: Floats) -> tuple[Floats, Floats]:
+    def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """As `registration.Borders`."""
-        y = q[..., 1]
-        normal = np.stack((np.zeros_like(y), np.where(y < 0.0, -1.0, 1.0)), axis=-1)
-        return np.abs(y) - self.half_width_m, normal
+        return np.abs(y) - self.half_width_m, np.zeros_like(x), np.where(y < 0.0, -1.0, 1.0)
 
     def ahead(self, length_m: float, step_m: float) -> Floats:
         """(M, 2) of the lane's middle from beside the car on, in the vehicle frame."""

@@ -19,8 +19,8 @@ GATE_M = 0.9  # a cone further from every border is none of the course's
 TRACKED = np.array([0.05, 0.05, 0.01])  # m, m, rad: drift of odometry between two observations, generously
 ITERATIONS = 5
 
-Borders = Callable[[Floats], tuple[Floats, Floats]]
-"""(…, 2) points of the course frame to (…) the distance from the nearest border, signed, and (…, 2) its normal."""
+Borders = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
+"""x and y (H, N) in the course frame to the distance from the nearest border, signed, and its normal's x and y."""
 
 
 def on_course(pose: Floats, xy_m: Floats) -> Floats:
@@ -44,25 +44,31 @@ def carried(pose: Floats, before: Motion, now: Motion) -> Floats:
     return np.asarray(pose + np.array([x, y, now.yaw_rad - before.yaw_rad]))
 
 
+def _seen_at(poses: Floats, xy_m: Floats) -> tuple[Floats, Floats]:
+    """(H, N) x and (H, N) y of the cones (N, 2, vehicle frame) from the car at each pose, turned as the course is."""
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = np.array(((cos, -sin), (sin, cos))).swapaxes(1, 2) @ xy_m.T
+    return x, y
+
+
 def fitted(borders: Borders, guesses: Floats, xy_m: Floats, sigma: Floats = TRACKED, gate_m: float = GATE_M) -> Floats:
     """(H, 3) the guesses, each moved so that the cones (N, 2, vehicle frame) stand on the course.
 
     `sigma` (3,) says how far a guess may be off: it holds what the cones do not determine.
     """
     poses: Floats = guesses.copy()
-    prior = np.diag(sigma**-2.0)
+    precision = sigma**-2.0
+    prior, jacobian = np.diag(precision), np.empty((len(poses), 3, len(xy_m)))
     for _ in range(ITERATIONS):
-        at = on_course(poses, xy_m)
-        residual, normal = borders(at)
+        arm_x, arm_y = _seen_at(poses, xy_m)
+        residual, jacobian[:, 0], jacobian[:, 1] = borders(arm_x + poses[:, :1], arm_y + poses[:, 1:2])
+        jacobian[:, 2] = jacobian[:, 1] * arm_x - jacobian[:, 0] * arm_y
         size = np.abs(residual)
-        weight = np.where(size < gate_m, CONE_SIGMA_M**-2, 0.0)
-        weight *= np.minimum(1.0, 2.0 * CONE_SIGMA_M / np.maximum(size, 1e-9))  # Huber's
-        arm = at - poses[:, None, :2]
-        turning = normal[..., 1] * arm[..., 0] - normal[..., 0] * arm[..., 1]
-        jacobian = np.concatenate((normal, turning[..., None]), axis=-1)
-        weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
-        slope = weighted @ residual[..., None] + prior @ (poses - guesses)[..., None]
-        step = np.linalg.solve(weighted @ jacobian + prior, slope)[..., 0]
+        # Huber's; nothing beyond the gate
+        weight = (size < gate_m) * CONE_SIGMA_M**-2 * np.minimum(1.0, 2.0 * CONE_SIGMA_M / np.maximum(size, 1e-9))
+        weighted = jacobian * weight[:, None]
+        slope = weighted @ residual[..., None] + (precision * (poses - guesses))[..., None]
+        step = np.linalg.solve(weighted @ jacobian.swapaxes(1, 2) + prior, slope)[..., 0]
         poses = poses - step
         if np.abs(step).max() < 1e-3:
             break
@@ -71,5 +77,6 @@ def fitted(borders: Borders, guesses: Floats, xy_m: Floats, sigma: Floats = TRAC
 
 def misfit(borders: Borders, poses: Floats, xy_m: Floats) -> Floats:
     """(H,) sum of the cones' squared distances from the course in sigmas; a cone of no border costs no more than 36."""
-    residual, _ = borders(on_course(poses, xy_m))
+    arm_x, arm_y = _seen_at(poses, xy_m)
+    residual = borders(arm_x + poses[:, :1], arm_y + poses[:, 1:2])[0]
     return np.asarray((np.minimum(np.abs(residual), GATE_M) ** 2).sum(axis=-1) / CONE_SIGMA_M**2)

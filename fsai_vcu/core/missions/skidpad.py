@@ -53,19 +53,18 @@ class SkidpadCourse(Value, frozen=True):
         """Progress at the last passage of the origin."""
         return self.laps * self.lap_m
 
-    def borders(self, q: Floats) -> tuple[Floats, Floats]:
+    def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """As `registration.Borders`: the two circles on the point's own side, or the lane in and out."""
-        x, side = q[..., 0], np.where(q[..., 1] < 0.0, -1.0, 1.0)
-        left = np.abs(q[..., 1])
+        left = np.abs(y)
         out = left - self.radius_m
-        reach = np.maximum(np.hypot(x, out), 1e-6)
+        reach = np.maximum(np.sqrt(x * x + out * out), 1e-6)
         inner, outer = reach - self.inner_m, reach - self.outer_m
         circle = np.where(np.abs(inner) < np.abs(outer), inner, outer)
         lane = left - self.half_lane_m
         # The lanes in and out end where the circles begin.
         in_lane = (np.abs(lane) < np.abs(circle)) & (np.abs(x) > 0.75 * self.inner_m)
-        normal = np.stack((np.where(in_lane, 0.0, x / reach), side * np.where(in_lane, 1.0, out / reach)), axis=-1)
-        return np.where(in_lane, lane, circle), normal
+        normal_y = np.where(y < 0.0, -1.0, 1.0) * np.where(in_lane, 1.0, out / reach)
+        return np.where(in_lane, lane, circle), np.where(in_lane, 0.0, x / reach), normal_y
 
     def path(self, progress_m: Floats) -> Floats:
         """(M, 2) the path's points at these progresses."""
@@ -111,7 +110,8 @@ def search_skidpad(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> 
         return state
     cells = np.empty((len(SEARCH_X_M), len(SEARCH_ASIDE), 3))
     cells[..., 0], cells[..., 1:] = SEARCH_X_M[:, None], state.pose[1:] + SEARCH_ASIDE
-    costs = misfit(course.borders, cells, xy_m) + (cells - state.pose) ** 2 @ NEARER
+    costs = misfit(course.borders, cells.reshape(-1, 3), xy_m).reshape(cells.shape[:-1])
+    costs += (cells - state.pose) ** 2 @ NEARER
     poses = cells[np.arange(len(cells)), costs.argmin(axis=1)]
     poses = fitted(course.borders, poses, xy_m, SEARCH_SIGMA, 1.5 * GATE_M)
     costs = misfit(course.borders, poses, xy_m) + (poses - state.pose) ** 2 @ NEARER

@@ -26,7 +26,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from functools import cache
 from itertools import chain
 from operator import attrgetter
 from typing import Any, Final, cast
@@ -60,7 +59,7 @@ from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.wheel_speeds import Pulses
 from fsai_vcu.core.vehicle.odometry import OdometryState
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
-from fsai_vcu.interface.codec import Codec, EncodeError
+from fsai_vcu.interface.codec import Codec, EncodeError, codec_of
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiCommand, AiImage, VcuDriveFront, VcuDriveRear, VcuSteer, WheelSpeeds
@@ -164,11 +163,6 @@ def _plain(value: object) -> str:
     return str(value)
 
 
-@cache
-def _codec(revision_name: str) -> Codec:
-    return Codec(revision(revision_name))
-
-
 class Setting(Value, frozen=True):
     """What is searched: the configuration of the AI side and the car at the other end."""
 
@@ -181,7 +175,7 @@ class Setting(Value, frozen=True):
 
     @property
     def codec(self) -> Codec:
-        return _codec(self.revision)
+        return codec_of(revision(self.revision))
 
     def checker(self, **process: Any) -> WireChecker:
         """The checker of the rules at the sender's own place; `process`: what else it knows of the configuration."""

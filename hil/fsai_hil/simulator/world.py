@@ -24,7 +24,7 @@ from fsai_hil.simulator.tracks import MISSION_TRACK, Track, load_track
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.codec import codec_of
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -106,7 +106,7 @@ class World:
         self.setup = setup
         profile = PROFILES[setup.profile]
         revision = revision_named(setup.revision)
-        self.codec = Codec(revision)
+        self.codec = codec_of(revision)
         self.vcu = SimulatedVcu(
             self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
         )
