@@ -313,8 +313,8 @@ def test_a_mission_meant_to_end_in_emergency_brake_is_planned(nominal: Frames) -
     assert story.clean
 
 
-def of(mission: Ami, profile: str, rev: str) -> Run:
-    return Run.of(setup(missions=[mission], profile=profile, revision=rev))
+def inspection(profile: str, rev: str) -> Run:
+    return Run.of(setup(missions=[Ami.STATIC_INSPECTION_A], profile=profile, revision=rev))
 
 
 def until_done(run: Run) -> None:
@@ -347,8 +347,8 @@ def test_the_regular_end_is_not_blamed_on_what_lasted_long(can_id: int, mask: in
     ("begun", "rev"),
     [
         (driving, "2026"),
-        (lambda: of(Ami.STATIC_INSPECTION_A, "specification", "2021"), "2021"),
-        (lambda: of(Ami.AUTONOMOUS_DEMO, "official-simulator", "2026"), "2026"),
+        (lambda: inspection("specification", "2021"), "2021"),
+        (lambda: inspection("official-simulator", "2026"), "2026"),
     ],
 )
 def test_a_good_run_has_no_incident_and_no_warning(begun: Callable[[], Run], rev: str) -> None:
