@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
 from functools import cache
+from multiprocessing import get_context
 
 import pytest
 
@@ -14,7 +16,9 @@ from fsai_vcu.interface.units import MS
 
 @cache
 def short_form() -> command.Done:
-    return command.batch(2026, examples=120)
+    """In a process of its own: Hypothesis also draws constants that it finds in the modules loaded around it."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as fresh:
+        return fresh.submit(command.batch, 2026, examples=120).result()
 
 
 def test_no_rule_is_broken_on_the_wire() -> None:

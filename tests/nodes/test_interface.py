@@ -215,7 +215,7 @@ def test_noise_and_confidence_threshold_change_while_running(rig: RosRig) -> Non
     detector = rig.start(cone_detector.ConeDetector)
     assert set_parameter(rig, "sensor_simulator", "noise_level", 0.0) == (True, "")
     assert set_parameter(rig, "cone_detector", "confidence_threshold", 0.75) == (True, "")
-    assert detector._threshold == 0.75
+    rig.spin_until(lambda: detector._threshold == 0.75, "the new threshold")
 
 
 def test_the_bridge_refuses_another_bus_while_active(rig: RosRig, bus: str) -> None:
