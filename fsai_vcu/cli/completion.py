@@ -80,7 +80,7 @@ def whole_parser() -> argparse.ArgumentParser:
     root = Parser(prog="fsai-vcu")
     root.add_argument("--version", action="version", help="show the version")
     verbs = root.add_subparsers()
-    for verb, (_, summary) in all_verbs().items():
+    for verb, (_, summary, _) in all_verbs().items():
         parser = verbs.add_parser(verb, help=summary, parents=[parser_of(verb)], add_help=False)
         for action in parser._actions:
             metavar = metavar_of(action)

@@ -18,37 +18,52 @@ from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
 from fsai_vcu.printable import PrintableStream, printable
 
-Verbs = dict[str, tuple[str, str]]
-"""Verb -> (module, as `import_module` takes it within this package, and what it does in one line)."""
+Verbs = dict[str, tuple[str, str, str]]
+"""Verb -> (module, as `import_module` takes it within this package, what it does in one line, its group)."""
+
+GROUPS: tuple[str, ...] = ("simulate", "your stack", "watch", "recordings", "running car", "machine", "other")
+"""What a person wants to do; the last group is shown by `help --all` alone."""
 
 OWN_VERBS: Verbs = {
-    "mode": (".mode", "set the mode: autonomous or manual"),
-    "emergency-brake": (".emergency_brake", "request an emergency brake"),
-    "reset": (".reset", "clear a latched emergency request, in AS_OFF and AS_INIT"),
-    "check-stack": (".check_stack", "watch a running stack over ROS 2, and list what it does wrong"),
-    "status": (".status", "show mode, AS state, and what stands between now and driving"),
-    "config": (".config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to"),
-    "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels"),
-    "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)"),
-    "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals"),
-    "decode": (".decode", "decode every frame of a log"),
-    "stats": (".stats", "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict"),
-    "check": (".check", "say what is wrong on a bus or in a log, and nothing else"),
-    "monitor": (".monitor", "watch a bus live: AS state, why it is not driving, what is asked and given; never sends"),
-    "pitwall": (".pitwall", "show a bus live on a web page for everybody around the car; never sends"),
-    "foxglove": (".foxglove", "show a bus live in Foxglove, decoded; never sends"),
-    "explain": (".explain", "explain a recorded run: what happened, why it braked, or why it did not start"),
-    "report": (".report", "turn a recorded run into one page: plots, explanation and figures"),
-    "plot": (".plot", "draw any signals of a log over time, as a picture"),
-    "compare": (".compare", "say what differs between two logs: periods, values, problems"),
-    "dbc": (".dbc", "show what a signal database says, and how two of them differ"),
-    "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge"),
-    "record": (".record", "record a bus, safe on the disk within a second; also as MCAP"),
-    "recorder": (".recorder", "record the bus as the service does: within the bounds of the configuration"),
-    "export": (".export", "turn a log into tables: CSV, Parquet, MCAP, MF4"),
-    "replay": (".replay", "send a log onto a bus again"),
-    "completion": (".completion", "print a script with which bash, zsh or fish complete this command"),
-    "reference": (".reference", "write the reference of all verbs, as Markdown or as a manual page"),
+    "mode": (".mode", "set the mode: autonomous or manual", "running car"),
+    "emergency-brake": (".emergency_brake", "request an emergency brake", "running car"),
+    "reset": (".reset", "clear a latched emergency request, in AS_OFF and AS_INIT", "running car"),
+    "check-stack": (".check_stack", "watch a running stack over ROS 2, and list what it does wrong", "your stack"),
+    "status": (".status", "show mode, AS state, and what stands between now and driving", "watch"),
+    "config": (".config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to", "machine"),
+    "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels", "machine"),
+    "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)", "other"),
+    "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals", "watch"),
+    "decode": (".decode", "decode every frame of a log", "recordings"),
+    "stats": (
+        ".stats",
+        "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict",
+        "recordings",
+    ),
+    "check": (".check", "say what is wrong on a bus or in a log, and nothing else", "recordings"),
+    "monitor": (
+        ".monitor",
+        "watch a bus live: AS state, why it is not driving, what is asked and given; never sends",
+        "watch",
+    ),
+    "pitwall": (".pitwall", "show a bus live on a web page for everybody around the car; never sends", "watch"),
+    "foxglove": (".foxglove", "show a bus live in Foxglove, decoded; never sends", "watch"),
+    "explain": (
+        ".explain",
+        "explain a recorded run: what happened, why it braked, or why it did not start",
+        "recordings",
+    ),
+    "report": (".report", "turn a recorded run into one page: plots, explanation and figures", "recordings"),
+    "plot": (".plot", "draw any signals of a log over time, as a picture", "recordings"),
+    "compare": (".compare", "say what differs between two logs: periods, values, problems", "recordings"),
+    "dbc": (".dbc", "show what a signal database says, and how two of them differ", "machine"),
+    "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge", "machine"),
+    "record": (".record", "record a bus, safe on the disk within a second; also as MCAP", "recordings"),
+    "recorder": (".recorder", "record the bus as the service does: within the bounds of the configuration", "other"),
+    "export": (".export", "turn a log into tables: CSV, Parquet, MCAP, MF4", "recordings"),
+    "replay": (".replay", "send a log onto a bus again", "recordings"),
+    "completion": (".completion", "print a script with which bash, zsh or fish complete this command", "other"),
+    "reference": (".reference", "write the reference of all verbs, as Markdown or as a manual page", "other"),
 }
 
 
@@ -63,7 +78,7 @@ def all_verbs() -> Verbs:
     return added | OWN_VERBS
 
 
-def _entry(verb: str) -> tuple[str, str]:
+def _entry(verb: str) -> tuple[str, str, str]:
     """The table's entry of a verb; who asks for one of ours does not wait for the others to be found."""
     return OWN_VERBS.get(verb) or all_verbs()[verb]
 
@@ -135,9 +150,11 @@ _OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def _run(arguments: list[str]) -> int:
-    if not arguments or arguments[0] in ("-h", "--help"):
-        _print_help()
+    if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
+        _print_help("--all" in arguments)
         return 0 if arguments else 2
+    if arguments[0] == "help":
+        arguments = [*arguments[1:2], "--help"]
     if arguments[0] == "--version":
         from importlib.metadata import version
 
@@ -167,13 +184,17 @@ def _run(arguments: list[str]) -> int:
         return 130
 
 
-def _print_help() -> None:
+def _print_help(everything: bool) -> None:
     width = max(len(verb) for verb in all_verbs())
-    print("usage: fsai-vcu VERB [options]\n\nThe software between a Formula Student AI stack and the ADS-DV's VCU.\n")
-    print("verbs:")
-    for verb, (_, summary) in all_verbs().items():
-        print(f"  {verb:<{width}}  {summary}")
-    print("\n`fsai-vcu VERB --help` shows the options and an example:\n  fsai-vcu drive --mission trackdrive --laps 2")
+    print("usage: fsai-vcu VERB [options]\n\nThe software between a Formula Student AI stack and the ADS-DV's VCU.")
+    for group in GROUPS if everything else GROUPS[:-1]:
+        print(f"\n{group}:")
+        for verb, (_, summary, of) in all_verbs().items():
+            if of == group:
+                print(f"  {verb:<{width}}  {summary}")
+    print("\n`fsai-vcu help VERB` shows the options and an example:\n  fsai-vcu drive --mission trackdrive --laps 2")
+    if not everything:
+        print("\nSeldom used verbs: fsai-vcu help --all")
     print("\nThe field's words (AS state, AMI, ASMS, RES, EBS, Go) are in docs/glossary.md.")
 
 

@@ -103,7 +103,7 @@ def manual() -> str:
 
 def _verbs() -> list[tuple[str, str, argparse.ArgumentParser]]:
     """(verb, what it does, its parser), in the order of the help."""
-    return [(verb, summary, parser_of(verb)) for verb, (_, summary) in all_verbs().items()]
+    return [(verb, summary, parser_of(verb)) for verb, (_, summary, _) in all_verbs().items()]
 
 
 def _synopsis(parser: argparse.ArgumentParser) -> str:

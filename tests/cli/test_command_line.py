@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fsai_vcu.cli.main import main
+from fsai_vcu.cli.main import GROUPS, all_verbs, main
 
 # People script against these.
 DRIVE_KEYS = {
@@ -50,6 +50,29 @@ def test_a_cone_that_is_too_far_away_to_be_in_metres_is_refused(
     track.write_text(f"tag,x,y\ncar_start,0,0\nblue,{unit},1\n")
     assert main(["drive", "--track", str(track)]) == 1
     assert "far.csv: line 3:" in capsys.readouterr().err
+
+
+def test_help_shows_the_groups_that_a_person_thinks_in(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help"]) == 0
+    usual = capsys.readouterr().out
+    assert main(["--help"]) == 0 and capsys.readouterr().out == usual
+    assert main(["help", "--all"]) == 0
+    everything = capsys.readouterr().out
+    assert {group for _, _, group in all_verbs().values()} == set(GROUPS)
+    for verb, (_, summary, group) in all_verbs().items():
+        assert any(line.split() == [verb, *summary.split()] for line in everything.splitlines())
+        assert (f"  {verb} " in usual) is (group != GROUPS[-1])
+
+
+def test_help_of_a_verb_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for words in (["help", "explain"], ["explain", "--help"]):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        said.append((ended.value.code, capsys.readouterr().out))
+    assert said[0] == said[1] and said[0][0] == 0
+    assert main(["help", "explian"]) == 2
+    assert "did you mean explain" in capsys.readouterr().err
 
 
 INTERRUPTED = """

@@ -2,19 +2,29 @@
 
 from typing import Final
 
-# verb -> (module, what it does in one line)
+# verb -> (module, what it does in one line, the group of `fsai-vcu --help`)
 VERBS: Final = {
-    "drive": ("fsai_hil.cli.drive", "drive a mission against the simulated car, in lockstep, without ROS or hardware"),
-    "track": ("fsai_hil.cli.track", "make a circuit by the rules from a seed, or say what a track is"),
-    "campaign": ("fsai_hil.cli.campaign", "drive thousands of runs with a fault in each, judged by the safety rules"),
-    "vcu": ("fsai_hil.simulator.process", "run the simulated VCU and car as a process on a bus"),
-    "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0"),
+    "drive": (
+        "fsai_hil.cli.drive",
+        "drive a mission against the simulated car, in lockstep, without ROS or hardware",
+        "simulate",
+    ),
+    "track": ("fsai_hil.cli.track", "make a circuit by the rules from a seed, or say what a track is", "simulate"),
+    "campaign": (
+        "fsai_hil.cli.campaign",
+        "drive thousands of runs with a fault in each, judged by the safety rules",
+        "other",
+    ),
+    "vcu": ("fsai_hil.simulator.process", "run the simulated VCU and car as a process on a bus", "simulate"),
+    "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0", "your stack"),
     "rehearse": (
         "fsai_hil.cli.rehearse",
         "put any AI-side program through what scrutineering and the interface specification ask",
+        "your stack",
     ),
     "scrutineering": (
         "fsai_hil.cli.scrutineering",
         "measure the handshake's response time on a real vcan0, and report it",
+        "other",
     ),
 }
