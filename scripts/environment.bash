@@ -97,7 +97,7 @@ advice() {
     echo "apt is at work already, or was interrupted: wait for it, or: dpkg --configure -a"
   elif grep -qiE 'permission denied|EACCES' "$log"; then
     echo "files here are another user's, perhaps from a run as root: sudo chown -R $(id -un) ."
-  elif grep -qE 'C(XX)? compiler|command .*(cc|c\+\+|gcc|g\+\+).* failed|internal compiler error|Python\.h' "$log"; then
+  elif grep -qE 'compiler identification is unknown|not able to compile a simple test|CMAKE_C(XX)?_COMPILER|command .*(cc|c\+\+|gcc|g\+\+).* failed|internal compiler error|Python\.h' "$log"; then
     echo "the compiler does not work: sudo apt-get install -y --reinstall gcc g++ libc6-dev python3-dev; then look at: which cc c++"
   elif grep -qE 'Killed|MemoryError|[Cc]annot allocate memory' "$log"; then
     echo "memory was short: end other programs"
