@@ -153,7 +153,8 @@ class AckermannAdapter(Node):
         """What the interface has: commands, flags, services, and what the stack is told."""
         one, door = self._interface, self._door
         # As best effort it is received, whatever the stack promises.
-        door.subscription(ros_type(f"ackermann_msgs/{one.command_type}"), one.command, self._on_command, qos=SENSOR)
+        commands = ros_type(f"ackermann_msgs/{one.command_type}")
+        door.subscription(commands, one.command, self._on_command, qos=SENSOR, refused=self._input.refused)
         if one.driving:
             self._listen(one.driving, self._on_driving)
         for way, on_flag, on_request in (
@@ -232,8 +233,8 @@ class AckermannAdapter(Node):
         self._flag = flag and self._state is not None and self._state.as_state == AsState.AS_DRIVING
 
     def _on_finish(self, flag: bool) -> None:
-        # The car is told once and for this run.
-        self._finished = self._finished or (flag and self._state is not None)
+        # It cannot be taken back; before the car may move it is the last run's.
+        self._finished = self._finished or (flag and self._run.may_move)
 
     def _on_brake(self, flag: bool) -> None:
         self._braking = flag
@@ -306,9 +307,11 @@ class AckermannAdapter(Node):
         self, on_flag: Callable[[bool], None], _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """As a flag that is set, and stays so in this run."""
-        response.success = self._state is not None
-        response.message = "" if response.success else "no run: nothing has come from the bridge"
-        on_flag(True)
+        response.success = self._run.may_move
+        if response.success:
+            on_flag(True)
+        else:
+            response.message = "the car may not move now"
         return response
 
     def _answer(self, why_not: Callable[[Any, VehicleState | None], str], request: Any, response: Any) -> Any:

@@ -92,7 +92,7 @@ class Output:
 
 
 def ros_type(name: str, of: str = "msg") -> type[Any]:
-    """The class of 'package/Name'; of: msg or srv. Raises ImportError where the package, or this of it, is not there."""
+    """The class of 'package/Name'; of: msg or srv. Raises ImportError where it is not there."""
     package, _, kind = name.partition("/")
     try:
         return getattr(import_module(f"{package}.{of}"), kind)  # type: ignore[no-any-return]
