@@ -62,8 +62,8 @@ class Stack:
     ) -> None:
         drive = AckermannDrive(acceleration=acceleration, steering_angle=steering, speed=speed)
         self.commanding.publish(drive if self._plain else AckermannDriveStamped(drive=drive))
-        for name, flag in self.flags.items():
-            flag.publish(Bool(data=driving if name == "driving" else flags.get(name, False)))
+        for name, flag in (flags | ({"driving": driving} if self.has.driving else {})).items():
+            self.flags[name].publish(Bool(data=flag))
 
     def state(self, as_state: AsState = AsState.AS_DRIVING, speed_mps: float = 0.0) -> None:
         message = VehicleState(run_id=7, as_state=int(as_state), mission=int(Ami.TRACKDRIVE), speed_mps=speed_mps)
@@ -198,7 +198,7 @@ def test_fsai_api_brakes_and_finishes_by_topics(rig: RosRig) -> None:
     stack.until(lambda c: c.throttle > 0.0, "throttle", 2.0, speed=4.0)
     command = stack.until(lambda c: c.brake == ASKED_BRAKE, "the brake that is asked for", 2.0, speed=4.0, brake=True)
     assert command.throttle == 0.0
-    stack.until(lambda c: c.throttle > 0.0, "throttle again", 2.0, speed=4.0)
+    stack.until(lambda c: c.throttle > 0.0, "throttle again", 2.0, speed=4.0, brake=False)
     stack.flags["finish"].publish(Bool(data=True))  # once
     stack.until(lambda c: c.mission_finished, "finished", 2.0, speed=4.0)
 
@@ -334,7 +334,7 @@ def test_an_emergency_on_a_topic_is_latched_at_the_bridge_and_released_by_its_re
     for _ in range(3):
         stack.until(lambda c: c.estop_request, "it holds", speed=4.0, emergency=True)
     assert asked == ["emergency_brake"], "told once"
-    stack.until(lambda c: not c.estop_request, "released", speed=4.0)
+    stack.until(lambda c: not c.estop_request, "released", speed=4.0, emergency=False)
     rig.spin_until(lambda: not stack.node._told, "the release has come through")
     assert asked == ["emergency_brake", "reset", "reset"], "until it is not refused"
 
@@ -358,7 +358,8 @@ def test_parameters_change_a_preset(rig: RosRig) -> None:
         ({"command": "none"}, "without commands there is nothing"),
         ({"finish": "done"}, "finish must be topic:NAME or service:NAME, not done"),
         ({"outputs": "ros_can/state=word"}, "ros_can/state is of no known kind: word"),
-        ({"driving": "a topic"}, "a topic"),
+        ({"driving": "a topic"}, "'a topic' is no name of a topic or service: topic name must not contain"),
+        ({"finish": "topic:"}, "finish must be topic:NAME"),
         ({"preset": "ours"}, "preset must be one of eufs, "),
         ({"cmd_timeout": 0.5}, "cmd_timeout"),
     ],
@@ -372,7 +373,7 @@ def test_only_the_messages_of_the_own_team_are_needed(rig: RosRig, monkeypatch: 
     for package in ("eufs_msgs.msg", "eufs_msgs.srv", "fsai_api.msg"):
         monkeypatch.setitem(sys.modules, package, None)
     assert rig.start(AckermannAdapter, preset="hydrakon_can")._outputs
-    with pytest.raises(NodeError, match="eufs_msgs.*bring-your-own-stack"):
+    with pytest.raises(NodeError, match=r"eufs_msgs.*bring-your-own-stack"):
         rig.start(AckermannAdapter)
 
 

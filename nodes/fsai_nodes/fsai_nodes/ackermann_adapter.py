@@ -17,6 +17,7 @@ from rclpy.client import Client
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.validate_topic_name import validate_topic_name
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -100,11 +101,18 @@ def interface_of(settings: Settings) -> Preset:
         raise NodeError("parameter command: without commands there is nothing to adapt")
     for name in ("finish", "brake", "emergency"):
         way = getattr(interface, name)
-        if way and way.partition(":")[0] not in (TOPIC, SERVICE):
+        by, _, named = way.partition(":")
+        if way and (by not in (TOPIC, SERVICE) or not named):
             raise NodeError(f"parameter {name} must be {TOPIC}:NAME or {SERVICE}:NAME, not {way}")
     for name, kind in interface.outputs.items():
         if kind not in OUTPUTS and kind not in ANSWERS:
             raise NodeError(f"parameter outputs: {name} is of no known kind: {kind or 'none'}")
+    ways = (each.partition(":")[2] for each in (interface.finish, interface.brake, interface.emergency) if each)
+    for name in filter(None, (interface.command, interface.driving, interface.reset, *ways, *interface.outputs)):
+        try:
+            validate_topic_name(name)
+        except NameValidationException as error:
+            raise NodeError(f"'{name}' is no name of a topic or service: {error.error_msg}") from error
     return interface
 
 
@@ -138,8 +146,6 @@ class AckermannAdapter(Node):
             self._connect()
         except ImportError as error:
             raise NodeError(f"{error}: docs/bring-your-own-stack.md says who builds these messages") from error
-        except NameValidationException as error:
-            raise NodeError(" ".join(str(error).split())) from error
         self._clocks.watch()
         self._clocks.every(PERIOD_S, self._tick)
         one, timeout_s = self._interface, self._repeated_ns / S
