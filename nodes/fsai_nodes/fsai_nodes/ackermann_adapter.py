@@ -112,7 +112,8 @@ def interface_of(settings: Settings) -> Preset:
         try:
             validate_topic_name(name)
         except NameValidationException as error:
-            raise NodeError(f"'{name}' is no name of a topic or service: {error.error_msg}") from error
+            why = str(error).partition(": ")[2].partition(":\n")[0]
+            raise NodeError(f"'{name}' is no name of a topic or service: {why}") from error
     return interface
 
 
