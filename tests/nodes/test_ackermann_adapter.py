@@ -215,6 +215,7 @@ def test_a_finish_before_the_car_may_move_is_the_last_runs(rig: RosRig) -> None:
     rig.spin_until(lambda: not stack.node._run.may_move, "it may not move")
     many = len(stack.commands) + 10
     stack.until(lambda _: len(stack.commands) > many, "it has heard it", finish=True)
+    rig.turns(50)  # all of them
     runs.publish(RunState(run_id=7, mission=int(Ami.TRACKDRIVE), as_state=int(AsState.AS_DRIVING), may_move=True))
     assert not stack.until(lambda c: c.throttle > 0.0, "throttle", acceleration=1.0).mission_finished
 
@@ -338,6 +339,16 @@ def test_an_emergency_on_a_topic_is_latched_at_the_bridge_and_released_by_its_re
     stack.until(lambda c: not c.estop_request, "released", speed=4.0, emergency=False)
     rig.spin_until(lambda: not stack.node._told, "the release has come through")
     assert asked == ["emergency_brake", "reset", "reset"], "until it is not refused"
+
+
+def test_an_emergency_before_there_is_a_bridge_is_passed_on_when_there_is_one(rig: RosRig) -> None:
+    node = rig.start(AckermannAdapter, preset="fsai_api")
+    rig.tester.create_publisher(Bool, "/emergency_brake", qos.STATE).publish(Bool(data=True))
+    rig.spin_until(lambda: node._emergency, "the emergency")
+    rig.announce()
+    rig.spin_until(lambda: node._run.run_id == 7, "a new run")
+    rig.tester.create_service(Trigger, "/emergency_brake", lambda _, answer: Trigger.Response(success=True))
+    rig.spin_until(lambda: node._told, "the bridge has it")
 
 
 # ---------------------------------------------------------------- parameters

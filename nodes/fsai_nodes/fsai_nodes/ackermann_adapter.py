@@ -131,6 +131,8 @@ class AckermannAdapter(Node):
         self._run = RunState()
         self._confirmed: int | None = None
         self._state: VehicleState | None = None
+        self._emergency = self._told = False  # the stack asks for it; the bridge was told
+        self._ask_ns = 0  # when the bridge is asked the next time
         self._forget()
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
@@ -196,8 +198,8 @@ class AckermannAdapter(Node):
         self._drive_ns, self._stamp = 0, None  # when it came, and what it is stamped with
         self._flag = self._finished = self._braking = False
         self._commanded = False  # the stack has commanded since the car may move
-        self._emergency = self._told = False  # the stack asks for it; the bridge was told
-        self._ask_ns = 0  # when the bridge is asked the next time
+        if self._emergency == self._told:  # else the bridge still has to hear of it
+            self._emergency = self._told = False
         self._input.forget()
 
     # ------------------------------------------------------------ from the bridge to the stack
