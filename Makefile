@@ -39,6 +39,9 @@ test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, s
 humble: setup-for-tests  ## the nodes' tests on rclpy reduced to what Humble's has; minutes
 	PYTHONPATH=$(CURDIR)/tests/nodes/humble $(BIN)/pytest -q tests/nodes
 
+adapters: setup-for-tests  ## a stand-in of each team's stack drives through ackermann_adapter; minutes
+	$(BIN)/pytest -q tests/nodes/adapter_drives.py
+
 lint: setup-for-tests  ## ruff and mypy
 	@scripts/test lint types
 

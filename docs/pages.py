@@ -246,7 +246,7 @@ def keys() -> str:
 def parameters() -> str:
     rows = (
         (node, f"`{one.name}`", f"`{_value(one.default)}`", _range(one), one.description, "live" if one.live else "")
-        for node in (*CLASSES, "eufs_adapter")
+        for node in (*CLASSES, "ackermann_adapter")
         for one in import_module(f"fsai_nodes.{node}").SETTINGS
     )
     return _table(("node", "parameter", "default", "may be", "meaning", ""), rows)

@@ -13,7 +13,7 @@ NODES = (
     "vcu_bridge",
     "visualization",
     "composed",
-    "eufs_adapter",
+    "ackermann_adapter",
 )
 
 

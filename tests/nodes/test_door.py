@@ -158,7 +158,7 @@ class Stack:
     """All nodes in this process, given messages as their subscriptions are, without a middleware in between."""
 
     def __init__(self, rig: RosRig, bus: str) -> None:
-        from fsai_nodes.eufs_adapter import EufsAdapter
+        from fsai_nodes.ackermann_adapter import AckermannAdapter
 
         self.rig = rig
         self.bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
@@ -169,7 +169,7 @@ class Stack:
             self.controller,
             rig.start(PathPlanner),
             rig.start(ConeDetector),
-            rig.start(EufsAdapter),
+            *(rig.start(AckermannAdapter, preset=team) for team in ("eufs", "eufs_sim2", "fsai_api")),
             self.visualization,
             rig.start(SensorSimulator, truth_port=_free_port()),
         ]

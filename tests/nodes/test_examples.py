@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from nav_msgs.msg import Path as PathMessage
-from ros_rig import RosRig, Stand, driven
+from ros_rig import RosRig, Stand, driven, overrides
 
 from fsai_nodes import qos
 from fsai_vcu.interface.enums import Ami, AsState
@@ -105,6 +105,28 @@ def test_own_mission_drives_brakes_and_is_finished(rig: RosRig, monkeypatch: pyt
     rig.spin_until(lambda: len(said) == 2, "both confirmations")
     assert {(each.role, each.run_id) for each in said} == {("planner", 4), ("controller", 4)}
     assert not any(command.throttle and command.brake for command in commands)
+
+
+@pytest.mark.parametrize("way", ["lists", "text", "cloud"])
+def test_cones_go_out_and_come_back_as_they_were(rig: RosRig, monkeypatch: pytest.MonkeyPatch, way: str) -> None:
+    inward, outward = example("cone_converter", monkeypatch), importlib.import_module("cones_out")
+    rig.start(outward.ConesOut, way=way)
+    converter = inward.ConeConverter(parameter_overrides=overrides(way=way), use_global_arguments=False)
+    back = converter.cones = rig.add(converter).create_publisher(ConeArray, "back", qos.SENSOR)
+    received = rig.subscribe(ConeArray, "/back", qos.SENSOR)
+    seen = ConeArray(cones=[Cone(x=5.0, y=1.5, color=Cone.BLUE), Cone(x=5.5, y=-1.5, color=Cone.BIG_ORANGE)])
+    seen.header.frame_id, seen.header.stamp = "base_link", rig.stamp()
+    cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
+
+    def came() -> bool:
+        cones.publish(seen)
+        return bool(received)
+
+    rig.spin_until(came, f"the cones on {back.topic_name}")
+    assert [(cone.x, cone.y, cone.color) for cone in received[0].cones] == [(5.0, 1.5, 1), (5.5, -1.5, 4)]
+    assert {cone.confidence for cone in received[0].cones} == {1.0}
+    assert received[0].header.frame_id == "base_link"
+    assert (received[0].header.stamp == seen.header.stamp) == (way != "text"), "a string has no stamp"
 
 
 def test_own_planner_and_controller_drive_to_as_finished(tmp_path: Path) -> None:

@@ -157,5 +157,5 @@ def test_without_launch_the_arguments_are_listed_and_checked() -> None:
 
 def test_each_executable_lies_where_ros2_run_looks() -> None:
     folder = Path(sys.prefix, "lib", "fsai_nodes")
-    assert {*composed.CLASSES, "composed", "eufs_adapter"} == {each.name for each in folder.iterdir()}
+    assert {*composed.CLASSES, "composed", "ackermann_adapter"} == {each.name for each in folder.iterdir()}
     assert all(os.access(each, os.X_OK) for each in folder.iterdir())

@@ -13,7 +13,7 @@ import pytest
 
 from fsai_hil.cli import hil
 from fsai_hil.rehearsal import stack
-from fsai_hil.rehearsal.stack import RunningProcess, Stack
+from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack
 from fsai_vcu.cli.main import WrongUse
 
 
@@ -26,6 +26,17 @@ def test_an_own_program_is_started_under_the_nodes_name(tmp_path: Path, name: st
         planner = stack.start_node("path_planner", laps=100)
         assert planner.wait(60.0) == 0
         assert planner.log() == "own --ros-args -r __node:=path_planner\n"
+
+
+def test_a_program_of_others_gets_its_arguments(tmp_path: Path) -> None:
+    own = tmp_path / "own stack.py"
+    own.write_text("import sys\nprint(*sys.argv[1:])\n")
+    for other, printed in ((str(own), "\n"), (f"'{own}' -p preset:=eufs", "-p preset:=eufs\n")):
+        with Stack("loopback:others", tmp_path / printed.strip()) as stack:
+            assert stack.start_nodes({}, NODES, [other]) == ("own stack",)
+            program = stack.processes["own stack"]
+            assert program.wait(60.0) == 0
+            assert program.log() == printed
 
 
 def test_at_the_end_each_process_is_asked_once(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.stack import NODES, Stack, StackError, simulated_car
+from fsai_hil.rehearsal.stack import NODES, Stack, StackError, simulated_car, words_of
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
@@ -29,7 +29,7 @@ from fsai_vcu.interface.revisions import revision
 
 MISSION = "autocross"
 REPLACEABLE = NODES[1:]  # the bridge is what all others stand in front of
-WITH_HELP = "start a node of yours as well; may be given more than once"
+WITH_HELP = "start a node of yours as well, with its arguments in the same text; may be given more than once"
 START_TIMEOUT_S = 180.0
 RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 180.0  # matplotlib, the first time that it is imported, on a busy machine
@@ -52,8 +52,13 @@ def main() -> int:
     args.without = [name.strip() for name in args.without.split(",") if name.strip()]
     if unknown := [name for name in args.without if name not in REPLACEABLE]:
         parser.error(f"--without {unknown[0]}: choose of {', '.join(REPLACEABLE)}")
-    if absent := [name for name in args.others if name.endswith(".py") and not Path(name).is_file()]:
-        parser.error(f"--with {absent[0]}: no such file")
+    for other in args.others:
+        try:
+            named = words_of(other)[0]
+        except (ValueError, IndexError):
+            parser.error(f"--with '{other}': no program")
+        if named.endswith(".py") and not Path(named).is_file():
+            parser.error(f"--with {named}: no such file")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
         # What would only fail once everything is running.

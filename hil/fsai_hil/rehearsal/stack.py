@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -47,6 +48,11 @@ def program(named: str) -> list[str]:
     if not named.endswith(".py") and os.access(named, os.X_OK):
         return [str(Path(named).absolute())]
     return [sys.executable, *([named] if named.endswith(".py") else ["-m", named])]
+
+
+def words_of(other: str) -> list[str]:
+    """A program of others and its arguments, of one text. Raises ValueError for a quotation that does not end."""
+    return [other] if Path(other).is_file() else shlex.split(other)
 
 
 def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:
@@ -234,14 +240,15 @@ class Stack:
     ) -> tuple[str, ...]:
         """Start the five nodes, each its own process; `parameters` by node name. The names of what was started.
 
-        without: those of the five that are not; others: files and modules of others that are, as they are.
+        without: those of the five that are not; others: files and modules of others that are, each with its arguments.
         """
         started = [name for name in NODES if name not in without]
         for name in started:
             self.start_node(name, **parameters.get(name, {}))
         for other in others:
-            started.append(Path(other).stem if Path(other).is_file() else other.rpartition(".")[2])
-            self.start(started[-1], program(other))
+            named, *words = words_of(other)
+            started.append(Path(named).stem if Path(named).is_file() else named.rpartition(".")[2])
+            self.start(started[-1], [*program(named), *words])
         return tuple(started)
 
     def check_alive(self, *names: str) -> None:

@@ -46,6 +46,13 @@ _POSE = Parts(
         orientation=Parts(x=UNREAD, y=UNREAD, z=UNREAD, w=UNREAD),
     ),
 )
+_DRIVE = Parts(
+    steering_angle=Number(-1e3, 1e3),  # what is beyond the car's is cut off, as teams' CAN nodes do
+    steering_angle_velocity=UNREAD,
+    speed=_SPEED_MPS,
+    acceleration=Number(-1e3, 1e3),
+    jerk=UNREAD,
+)
 # Of a parameter's value the parameter's own declaration decides; here only that it is of a type there is, and short.
 _LISTS = {f"{kind}_array_value": Several(FREE, 1000) for kind in ("byte", "bool", "integer", "double")}
 _VALUE = Parts(
@@ -113,7 +120,7 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             mode=UNREAD,
             run_id=FREE,
             handshake=FREE,
-            go_signal=UNREAD,
+            go_signal=FREE,
             as_switch=UNREAD,
             ts_switch=UNREAD,
             shutdown_request=UNREAD,
@@ -130,12 +137,12 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             steering_max_rad=UNREAD,
             front_axle_torque_nm=UNREAD,
             rear_axle_torque_nm=UNREAD,
-            front_brake=UNREAD,
-            rear_brake=UNREAD,
+            front_brake=Number(0.0, 1.3),  # the signal is a byte of half per cents
+            rear_brake=Number(0.0, 1.3),
             brake_status=UNREAD,
             ebs_status=UNREAD,
             wheel_speed_rpm=FREE,
-            wheel_pulses=UNREAD,
+            wheel_pulses=FREE,
             standing=FREE,
             x=_PLACE_M,
             y=_PLACE_M,
@@ -148,7 +155,7 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             speeds_age_s=UNREAD,
             brake_age_s=UNREAD,
             command_age_s=UNREAD,
-            sent_mission_status=Whole(0, 127),  # eufs_adapter passes it on in a field so wide
+            sent_mission_status=Whole(0, 127),  # ackermann_adapter passes it on in a field so wide
             sent_direction=Whole(0, 127),
             sent_estop_request=FREE,
             sent_steering_rad=Number(-math.pi, math.pi),
@@ -165,22 +172,15 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             why_not_driving=UNREAD,
             operational_limits=_SENTENCES,
         ),
-        # eufs_adapter's
-        "ackermann_msgs/AckermannDriveStamped": Parts(
-            header=_HEADER,
-            drive=Parts(
-                steering_angle=Number(-1e3, 1e3),  # what is beyond the car's is cut off, as ros_can does
-                steering_angle_velocity=UNREAD,
-                speed=_SPEED_MPS,
-                acceleration=Number(-1e3, 1e3),
-                jerk=UNREAD,
-            ),
-        ),
+        # ackermann_adapter's
+        "ackermann_msgs/AckermannDrive": _DRIVE,
+        "ackermann_msgs/AckermannDriveStamped": Parts(header=_HEADER, drive=_DRIVE),
         "std_msgs/Bool": Parts(data=FREE),
         # ------------------------------------------------ requests and goals
         "std_srvs/Trigger_Request": Parts(),
         "fsai_msgs/SetMode_Request": Parts(mode=_NAME),  # the loop names the modes there are
         "eufs_msgs/SetCanState_Request": Parts(ami_state=FREE, as_state=UNREAD),
+        "eufs_msgs/SetMission_Request": Parts(mission=FREE),
         "fsai_msgs/RunMission_Goal": Parts(
             mission=Text(40, ("", *MISSIONS), any_case=True),
             until=Text(40, ("", *GOALS)),
