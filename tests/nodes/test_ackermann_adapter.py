@@ -131,7 +131,7 @@ def test_what_was_sent_and_the_pose_are_told_in_eufs_units() -> None:
     assert (pose.twist.twist.linear.x, pose.twist.twist.angular.z) == (5.0, 0.5)
 
 
-def test_wheels_turn_per_minute_on_the_car_and_per_second_in_the_simulator() -> None:
+def test_wheels_turn_per_minute_here_per_second_in_the_simulator() -> None:
     state = VehicleState(steering_rad=0.1, wheel_speed_rpm=[60, 120, 180, 240])
     for make, turns in ((made.wheel_speeds, 60.0), (made.wheel_turns, 1.0)):
         speeds = make(WheelSpeedsStamped, state, True).speeds
@@ -235,7 +235,7 @@ def test_without_the_driving_flag_the_car_is_held(rig: RosRig) -> None:
     assert (command.brake, command.throttle, command.steering_rad) == (HOLDING_BRAKE, 0.0, 0.0)
 
 
-def test_until_its_first_command_the_car_is_held_and_who_is_missing_is_said(rig: RosRig) -> None:
+def test_the_car_is_held_until_the_first_command_and_says_why(rig: RosRig) -> None:
     stack = Stack(rig, preset="eufs_sim2")
     stack.commanded()
     assert stack.commands[-1].brake == HOLDING_BRAKE and "/cmd" in stack.commands[-1].note
@@ -318,7 +318,7 @@ def test_mission_and_go_of_eufs_sim2_are_the_cars(rig: RosRig) -> None:
     assert "AMI shows 4, not 1" in rig.ask(SetMission, "/set_mission", mission=1).message
 
 
-def test_an_emergency_on_a_topic_is_latched_at_the_bridge_and_released_by_its_reset(rig: RosRig) -> None:
+def test_an_emergency_on_a_topic_latches_until_it_is_released(rig: RosRig) -> None:
     asked: list[str] = []
 
     def answer(name: str, response: Trigger.Response) -> Trigger.Response:
@@ -341,7 +341,7 @@ def test_an_emergency_on_a_topic_is_latched_at_the_bridge_and_released_by_its_re
     assert asked == ["emergency_brake", "reset", "reset"], "until it is not refused"
 
 
-def test_an_emergency_before_there_is_a_bridge_is_passed_on_when_there_is_one(rig: RosRig) -> None:
+def test_an_emergency_is_passed_on_once_there_is_a_bridge(rig: RosRig) -> None:
     node = rig.start(AckermannAdapter, preset="fsai_api")
     rig.tester.create_publisher(Bool, "/emergency_brake", qos.STATE).publish(Bool(data=True))
     rig.spin_until(lambda: node._emergency, "the emergency")

@@ -113,7 +113,7 @@ def test_each_verb_of_the_wheel_says_how_it_is_used(clean: Path, tmp_path: Path)
         "import contextlib, re, io, sys\n"
         "def said(*words):\n"
         "    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):\n"
-        "        main([*words, '--help'])\n"
+        "        main([*words, '--help'] if words else ['help', '--all'])\n"
         "    return out.getvalue()\n"
         "verbs = re.findall(r'^  +([a-z][a-z-]+)  ', said(), re.M)\n"
         "print(*(verb for verb in verbs if 'usage: fsai-vcu ' + verb in said(verb)))\n"
