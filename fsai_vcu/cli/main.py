@@ -22,7 +22,7 @@ Verbs = dict[str, tuple[str, str, str]]
 """Verb -> (module, as `import_module` takes it within this package, what it does in one line, its group)."""
 
 GROUPS: tuple[str, ...] = ("simulate", "your stack", "watch", "recordings", "running car", "machine", "other")
-"""What a person wants to do; the last group is shown by `help --all` alone."""
+"""The groups of verbs in the order of the help; the last one is shown by `help --all` alone."""
 
 OWN_VERBS: Verbs = {
     "mode": (".mode", "set the mode: autonomous or manual", "running car"),
@@ -30,7 +30,11 @@ OWN_VERBS: Verbs = {
     "reset": (".reset", "clear a latched emergency request, in AS_OFF and AS_INIT", "running car"),
     "check-stack": (".check_stack", "watch a running stack over ROS 2, and list what it does wrong", "your stack"),
     "status": (".status", "show mode, AS state, and what stands between now and driving", "watch"),
-    "config": (".config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to", "machine"),
+    "config": (
+        ".config",
+        "check the car's configuration, /etc/fsai/fsai.toml, or show every setting in force",
+        "machine",
+    ),
     "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels", "machine"),
     "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)", "other"),
     "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals", "watch"),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from c_node import CNode, compiled
+from c_node import CNode
 
 from fsai_hil.rehearsal.inspection.judge import items_named
 from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
@@ -20,14 +20,6 @@ CYCLE_NS = 10 * MS
 PHASE_NS = 4 * MS
 ON_THE_BUS_NS = 200_000  # from one frame to the next
 Change = Callable[[Frame], Frame]
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    try:
-        return compiled(tmp_path_factory.mktemp("c"), "-shared", "-fPIC")
-    except FileNotFoundError:
-        pytest.skip("the C program of the examples needs a C compiler (cc)")
 
 
 def verdict_on(

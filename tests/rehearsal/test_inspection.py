@@ -40,14 +40,6 @@ PHASE_NS = 4 * MS  # of a program that polls, after the car's frames
 Program = Callable[[Sequence[Frame], int], list[Frame]]
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    try:
-        return compiled(tmp_path_factory.mktemp("c"), "-shared", "-fPIC")
-    except FileNotFoundError:
-        pytest.skip("the C program of the examples needs a C compiler (cc)")
-
-
 def rehearsed(
     program: Program, *only: str, ends: bool = True, until: str = "", step_ns: int = CYCLE_NS, **options: object
 ) -> dict[str, Result]:

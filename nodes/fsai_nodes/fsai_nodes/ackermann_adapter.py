@@ -36,9 +36,7 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.units import S
 
-PERIOD_S = (
-    0.02  # 50 Hz, as the bridge asks for; stacks speak more slowly, and teams' CAN nodes repeat what was said last
-)
+PERIOD_S = 0.02  # 50 Hz, as the bridge asks for; stacks speak more slowly, and teams' CAN nodes repeat a command
 HOLDING_BRAKE = 0.2  # while the stack does not drive
 ASKED_BRAKE = 0.5  # of full pressure, where the stack only says that it brakes: as fsai_api's node does
 COASTING_MPS2 = 0.5  # a smaller deceleration is left to the resistance of air and tyres
