@@ -169,7 +169,8 @@ def test_a_campaign_continues_with_the_same_sources_only(
     record = tmp_path / "record.jsonl"
     arguments = ["--runs", "400", "--faults", "go_off,emergency_asked", "--jobs", "1", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0) as run:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True, start_new_session=True) as run:
         while _lines(record) < 2:
             assert run.poll() is None, run.communicate()
             time.sleep(0.02)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from multiprocessing import get_context
 
@@ -17,8 +16,8 @@ from fsai_vcu.interface.units import MS
 @cache
 def short_form() -> command.Done:
     """In a process of its own: Hypothesis also draws constants that it finds in the modules loaded around it."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as fresh:
-        return fresh.submit(command.batch, 2026, examples=120).result()
+    with get_context("spawn").Pool(1) as fresh:
+        return fresh.apply(command.batch, (2026,), {"examples": 120})
 
 
 def test_no_rule_is_broken_on_the_wire() -> None:

@@ -182,7 +182,7 @@ class Walk:
 def _member(node: ast.Attribute, owner: Any, name: str) -> Iterator[Mistake]:
     if owner is math and name == "inf":
         yield "sign", ast.UnaryOp(ast.USub(), node)
-    if isinstance(owner, enum.EnumType) and name in owner.__members__:
+    if isinstance(owner, enum.EnumMeta) and name in owner.__members__:
         members = list(owner.__members__)
         for step in (1, -1):
             yield "another member", _with(node, attr=members[(members.index(name) + step) % len(members)])
