@@ -86,7 +86,8 @@ def picture(run: Run) -> Figure:
     entries = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes]
     named = {text: handle for each in entries for handle, text in each}
     if named:
-        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=6, fontsize=8)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.4)}
+        pedals.legend(list(named.values()), list(named), **below, ncol=6, fontsize=8)
     return figure
 
 
