@@ -20,6 +20,11 @@ TRACK_BYTES: Final = MIB
 """Most that is read of a track; the longest ones have 100 KiB."""
 DATABASE_BYTES: Final = 4 * MIB
 """Most that is read of a signal database. cantools takes five seconds and 100 MiB for each MiB of it."""
+UNPACKED_TIMES: Final = 100
+"""Most that a packed log unpacks to, in its size. gzip makes one 10 to 17 times smaller."""
+UNPACKED_BYTES: Final = 64 * MIB
+"""Below it a log may unpack to anything."""
+TOO_MUCH_PACKED: Final = f"it unpacks to more than {UNPACKED_TIMES} times its size, as no log does"
 
 _KINDS: Final = {
     stat.S_IFIFO: "it is a pipe, not a file",

@@ -65,14 +65,14 @@ def test_every_package_has_hashes_and_no_place(lock: str) -> None:
     assert "://" not in LOCKS[lock], "where packages come from is for the machine to say"
 
 
-def test_the_installer_takes_nothing_from_an_index_without_its_hash() -> None:
+def test_the_installer_takes_nothing_without_its_hash() -> None:
     script = re.sub(r"\\\n\s*", "", (CHECKOUT / "scripts" / "install-car").read_text())
     installs = [line for line in script.splitlines() if re.search(r"\bpip install ", line) and line[0] != "#"]
     assert installs and all("--require-hashes" in line or "--no-index" in line for line in installs), installs
     assert re.search(r"PIP_NO_INDEX=1 run nodes/build-messages", script)
 
 
-def test_the_list_of_contents_has_versions_and_the_hashes_that_were_checked(tmp_path: Path) -> None:
+def test_the_contents_have_versions_and_checked_hashes(tmp_path: Path) -> None:
     site = tmp_path / "site"
     for name, suffix in (("wheel-1.0", "dist-info"), ("within-2.0", "egg-info"), ("built-3.0", "egg-info")):
         info = site / f"{name}.{suffix}"

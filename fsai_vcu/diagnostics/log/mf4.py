@@ -1,9 +1,21 @@
-"""Frames of an MF4 bus log as columns, as asammdf reads them: no work in Python for each frame."""
+"""Frames of an MF4 bus log as columns, as asammdf reads them: no work in Python for each frame.
+
+asammdf trusts a file: how much it unpacks to, how long its lists are, where they lead. It runs in a process of its own,
+which may take as much memory and time as the size of the file allows, and is ended beyond that.
+"""
 
 from __future__ import annotations
 
+import math
+import os
+import pickle
+import resource
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,40 +34,154 @@ from fsai_vcu.diagnostics.log.frames import (
     Frames,
     joined,
 )
+from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES
+from fsai_vcu.runtime.module_command import module_command
 
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 _MARKS: Final = {"EDL": FD, "BRS": BRS, "ESI": ESI}
 _EXTENDED_BIT: Final = 1 << 31  # of an identifier, where no IDE stands beside it
 _AT_ONCE: Final = 1 << 22  # bytes of records: each has 64 of data, of which few are used
+_BATCH: Final = 100_000
+_RECORD_BYTES: Final = 16  # at least, of a frame
+MEMORY_BYTES: Final = 256 * MIB  # for a file of any size, beside what asammdf takes itself
+MEMORY_TIMES: Final = 32  # a packed log of two kinds of frames, which are sorted, takes 20 times its size
+SECONDS: Final = 10  # of the processor, for a file of any size
+SECONDS_PER_MIB: Final = 2.0  # a packed log takes 0.2
+_TOO_MUCH: Final = "it takes more memory or time than a file of its size does"
 
 _USED: Final = np.array([(1 << 8 * length) - 1 for length in range(CLASSIC_BYTES + 1)], np.uint64)  # bits, by length
 
 Columns = dict[str, npt.NDArray[Any]]
 
 
-def bus_frames(mdf: Any, problem: Callable[[str], None]) -> list[Frames] | None:
-    """All frames of an open `asammdf.MDF`, in the order of time and in parts; None where it is no bus log.
+class Mf4Error(Exception):
+    """Why a file cannot be read as MF4, as the end of a sentence."""
 
-    `problem` gets what could not be read.
+
+def read_mf4(path: Path, problem: Callable[[str], None], seconds: int = SECONDS) -> Iterator[Frames]:
+    """All frames of a file in the order of time, in parts. `problem` gets what could not be read.
+
+    Raises Mf4Error where that is all of it, or all that comes behind.
     """
+    command = module_command(__name__, str(path.resolve()), str(seconds))
+    environ = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # each takes 30 MB of addresses, and none computes here
+    null = subprocess.DEVNULL
+    channels: list[str] = []
+    with subprocess.Popen(command, env=environ, stdin=null, stdout=subprocess.PIPE, stderr=null) as process:
+        try:
+            assert process.stdout is not None
+            while True:
+                match _received(process.stdout):
+                    case Frames() as frames:
+                        channels.extend(frames.channels[len(channels) :])
+                        yield replace(frames, channels=channels)
+                    case str() as text:
+                        problem(text)
+                    case _End(None):
+                        return
+                    case _End(str() as why):
+                        raise Mf4Error(why)
+        finally:
+            process.kill()
+
+
+@dataclass(frozen=True)
+class _End:
+    why: str | None  # None: all has been sent
+
+
+_Sent = Frames | str | _End  # a string: what could not be read
+
+
+def _received(stream: IO[bytes]) -> _Sent:
+    try:
+        sent: _Sent = pickle.load(stream)
+    except (EOFError, pickle.UnpicklingError):  # ended by the kernel
+        return _End(_TOO_MUCH)
+    return sent
+
+
+def main(path: Path, seconds: int) -> None:
+    """The process: sends frames, problems and how it ended to standard output."""
+    out = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    sys.stdout = sys.stderr  # what others print is none of it
+    why: str | None = None
+
+    def send(what: _Sent) -> None:
+        pickle.dump(what, out)
+        out.flush()
+
+    try:
+        import asammdf
+
+        status = path.stat()
+        size = min(status.st_size, status.st_blocks * 512)  # a file with holes has less than it says
+        _limit(size, seconds)
+        # A frame whose bytes are marked as invalid came nevertheless.
+        options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
+        with asammdf.MDF(path, **options) as mdf:
+            _send_frames(mdf, max(UNPACKED_BYTES, UNPACKED_TIMES * size), send)
+    except MemoryError:
+        why = _TOO_MUCH
+    except Exception as error:  # asammdf has no common base class for what a broken file makes it raise
+        why = _why(error)
+    send(_End(why))
+    os._exit(0)  # what asammdf cannot read it also cannot close
+
+
+def _limit(size: int, seconds: int) -> None:
+    """Of this process from here on. size: the file's, in bytes. seconds: for a file of any size."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    spent_s = math.ceil(usage.ru_utime + usage.ru_stime)
+    for limit, most in (
+        (resource.RLIMIT_AS, used + MEMORY_BYTES + MEMORY_TIMES * size),
+        (resource.RLIMIT_CPU, spent_s + seconds + math.ceil(SECONDS_PER_MIB * size / MIB)),
+    ):
+        hard = resource.getrlimit(limit)[1]
+        resource.setrlimit(limit, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def _send_frames(mdf: Any, most_bytes: int, send: Callable[[_Sent], None]) -> None:
+    """All frames of an open `asammdf.MDF`. most_bytes: how much may be unpacked."""
     groups = [
         (number, channel.name)
         for number, group in enumerate(mdf.groups)
         for channel in group.channels
         if channel.name in _KINDS
     ]
+    if not groups:
+        send("an MF4 of signals, not of a bus's frames")
     mdf.configure(read_fragment_size=_AT_ONCE)
+    filled = sum(mdf.groups[number].channel_group.cycles_nr > 0 for number, _ in groups)
     parts: list[Frames] = []
     channels: list[str] = []
+    count = unpacked = 0
     for number, kind in groups:
+        record_bytes = max(_RECORD_BYTES, mdf.groups[number].channel_group.samples_byte_nr)
         try:
-            parts.extend(_group_frames(mdf, number, kind, channels, problem))
-        except Exception as error:  # asammdf has no common base class for what a broken file makes it raise
-            problem(f"not readable as MF4 after frame {sum(map(len, parts))}: {error or type(error).__name__}")
-    if sum(mdf.groups[number].channel_group.cycles_nr > 0 for number, _ in groups) > 1:
-        frames = joined(parts)
-        parts = [frames.only(np.argsort(frames.t_ns, kind="stable"))]
-    return parts if groups else None
+            for frames in _group_frames(mdf, number, kind, channels, send):
+                count += len(frames)
+                unpacked += len(frames) * record_bytes
+                if unpacked > most_bytes:
+                    raise Mf4Error(TOO_MUCH_PACKED)
+                if filled > 1:
+                    parts.append(frames)
+                else:
+                    send(frames)
+        except (MemoryError, Mf4Error):
+            raise
+        except Exception as error:  # the same as in main
+            send(f"not readable as MF4 after frame {count}: {_why(error)}")
+    if parts:
+        whole = joined(parts)
+        order = np.argsort(whole.t_ns, kind="stable")
+        for begin in range(0, len(order), _BATCH):
+            send(whole.only(order[begin : begin + _BATCH]))
+
+
+def _why(error: Exception) -> str:
+    return " ".join(str(error or type(error).__name__).split())[:300]
 
 
 def _group_frames(
@@ -63,6 +189,7 @@ def _group_frames(
 ) -> Iterator[Frames]:
     """Of one channel group, which has frames of one kind. `channels` grows."""
     start_s = mdf.header.start_time.timestamp()
+    announced, read = mdf.groups[number].channel_group.cycles_nr, 0
     for signal in mdf.iter_get(kind, number, raw=True):
         columns = {name.removeprefix(f"{kind}."): signal.samples[name] for name in signal.samples.dtype.names}
         times = signal.timestamps + start_s
@@ -71,6 +198,9 @@ def _group_frames(
             problem(f"a time that is none: {time}")
         t_ns = np.rint(np.where(timely, times, 0) * 1e6).astype(np.int64) * 1000
         yield _frames(columns, t_ns, kind, channels).only(timely)
+        read += len(times)
+    if read < announced:
+        problem(f"cut off: {read} of {announced} frames are there")
 
 
 def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
@@ -106,3 +236,9 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
         channels,
         {row: payload[row, : length[row]].tobytes() for row in np.flatnonzero(length > CLASSIC_BYTES).tolist()},
     )
+
+
+if __name__ == "__main__":
+    from fsai_vcu.diagnostics.log import mf4  # what is sent is of that module, and not of this one, __main__
+
+    mf4.main(Path(sys.argv[1]), int(sys.argv[2]))
