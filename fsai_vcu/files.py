@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import time
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -66,6 +67,8 @@ def open_lock(path: Path | str) -> BinaryIO:
         return open_found(path, write=True)
     except FileNotFoundError:
         pass
+    except IsADirectoryError:
+        Path(path).rename(f"{path}.{time.time_ns()}")  # it may hold something
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.ELOOP, errno.EMLINK):
             raise
