@@ -79,6 +79,11 @@ def open_lock(path: Path | str) -> BinaryIO:
         return open_found(path, write=True)
 
 
+def bytes_on_disk(status: os.stat_result) -> int:
+    """How much there is of a file: one with holes has less than its size."""
+    return min(status.st_size, status.st_blocks * 512)  # the unit of st_blocks, whatever the file system's is
+
+
 def read_named(path: Path | str, most_bytes: int, encoding: str = "utf-8", errors: str = "strict") -> str:
     """The text of a file that a person named, every line end in it a newline.
 

@@ -21,12 +21,13 @@ import zstandard
 
 from fsai_hil.simulator.tracks import TrackError, load_track
 from fsai_vcu.diagnostics.decode.databases import load_databases
-from fsai_vcu.diagnostics.log.mf4 import Mf4Error, read_mf4
+from fsai_vcu.diagnostics.log.mf4 import read_mf4
 from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap
 from fsai_vcu.interface.database import load_database
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
+from fsai_vcu.runtime.bounded import BoundedError
 from fsai_vcu.runtime.configuration import read_configuration
 from fsai_vcu.runtime.limits_file import read_limits
 
@@ -56,7 +57,9 @@ def in_little_memory(work: Callable[[], Any]) -> Any:
             resource.setrlimit(resource.RLIMIT_AS, (most, most))
             result: Any = work()
         except BaseException as error:
-            result = error if isinstance(error, Mf4Error) else AssertionError(f"{type(error).__name__}: {error}"[:500])
+            result = (
+                error if isinstance(error, BoundedError) else AssertionError(f"{type(error).__name__}: {error}"[:500])
+            )
         with os.fdopen(write_end, "wb") as pipe:
             pickle.dump(result, pipe)
         os._exit(0)
@@ -66,7 +69,7 @@ def in_little_memory(work: Callable[[], Any]) -> Any:
     os.waitpid(child, 0)
     assert sent, "it was ended by the limit"
     result = pickle.loads(sent)
-    if isinstance(result, AssertionError | Mf4Error):
+    if isinstance(result, AssertionError | BoundedError):
         raise result
     return result
 
@@ -168,7 +171,7 @@ def test_an_mf4_takes_memory_and_time_as_its_bytes_do(tmp_path: Path) -> None:
 def test_a_list_in_an_mf4_that_never_ends_is_given_up(tmp_path: Path) -> None:
     path = tmp_path / "run.mf4"
     path.write_bytes(in_a_circle(mf4_of(10, 0), b"##CG"))
-    with pytest.raises(Mf4Error, match="more memory or time than a file of its size"):
+    with pytest.raises(BoundedError, match="more memory or time than a file of its size"):
         in_little_memory(lambda: list(read_mf4(path, print, seconds=1)))
 
 
@@ -245,6 +248,24 @@ TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
     "a million signals": ("dbc", lambda: "BO_ 1 M: 8 A\n" + ' SG_ S : 0|1@1+ (1,0) [0|0] "" A\n' * 1_000_000),
     "an open text": ("dbc", lambda: 'VERSION "' + '"\\' * 200_000),
     "brackets": ("dbc", lambda: 'BU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|1@1+ (1,0) [0|0] "" A\nSG_ ' + "[" * 200_000),
+    "a range of values": (
+        "dbc",
+        lambda: (
+            'BU_: A\nBO_ 1 M: 8 A\n SG_ X M : 0|8@1+ (1,0) [0|0] "" A\n SG_ Y m1 : 8|8@1+ (1,0) [0|0] "" A\n\n'
+            "SG_MUL_VAL_ 1 Y X 0-999999999 ;\n"
+        ),
+    ),
+    "a message of SYM": (
+        "sym",
+        lambda: 'FormatVersion=6.0 // x\nTitle="t"\n\n{SENDRECEIVE}\n\n[M]\nID=123h\nLen=99999999\n',
+    ),
+    "a signal of KCD": (
+        "kcd",
+        lambda: (
+            '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Bus name="b"><Message id="0x1" '
+            'name="M" length="8"><Signal name="S" offset="0" length="99999999"/></Message></Bus></NetworkDefinition>'
+        ),
+    ),
     "entities": (
         "kcd",
         lambda: (
@@ -259,6 +280,7 @@ READERS: dict[str, tuple[Callable[[Path], object], ...]] = {
     "csv": (load_track,),
     "dbc": (lambda path: load_databases([path]), lambda path: load_database([path])),
     "kcd": (lambda path: load_databases([path]),),
+    "sym": (lambda path: load_databases([path]),),
     "toml": (read_configuration, read_limits),
     "log": (frames_and_problems,),
 }

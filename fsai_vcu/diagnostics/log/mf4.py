@@ -1,21 +1,15 @@
 """Frames of an MF4 bus log as columns, as asammdf reads them: no work in Python for each frame.
 
-asammdf trusts a file: how much it unpacks to, how long its lists are, where they lead. It runs in a process of its own,
-which may take as much memory and time as the size of the file allows, and is ended beyond that.
+asammdf trusts a file, and so runs in a process with bounds.
 """
 
 from __future__ import annotations
 
-import math
-import os
-import pickle
-import resource
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -34,8 +28,8 @@ from fsai_vcu.diagnostics.log.frames import (
     Frames,
     joined,
 )
-from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES
-from fsai_vcu.runtime.module_command import module_command
+from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES, bytes_on_disk
+from fsai_vcu.runtime.bounded import BoundedError, Bounds, results_of, send_results
 
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 _MARKS: Final = {"EDL": FD, "BRS": BRS, "ESI": ESI}
@@ -43,106 +37,44 @@ _EXTENDED_BIT: Final = 1 << 31  # of an identifier, where no IDE stands beside i
 _AT_ONCE: Final = 1 << 22  # bytes of records: each has 64 of data, of which few are used
 _BATCH: Final = 100_000
 _RECORD_BYTES: Final = 16  # at least, of a frame
-MEMORY_BYTES: Final = 256 * MIB  # for a file of any size, beside what asammdf takes itself
-MEMORY_TIMES: Final = 32  # a packed log of two kinds of frames, which are sorted, takes 20 times its size
-SECONDS: Final = 10  # of the processor, for a file of any size
-SECONDS_PER_MIB: Final = 2.0  # a packed log takes 0.2
-_TOO_MUCH: Final = "it takes more memory or time than a file of its size does"
+_MEMORY_BYTES: Final = 256 * MIB
+_MEMORY_TIMES: Final = 32  # a packed log of two kinds of frames, which are sorted, takes 20 times its size
+SECONDS: Final = 10
+_SECONDS_PER_MIB: Final = 2.0  # a packed log takes 0.2
 
 _USED: Final = np.array([(1 << 8 * length) - 1 for length in range(CLASSIC_BYTES + 1)], np.uint64)  # bits, by length
 
 Columns = dict[str, npt.NDArray[Any]]
 
 
-class Mf4Error(Exception):
-    """Why a file cannot be read as MF4, as the end of a sentence."""
-
-
 def read_mf4(path: Path, problem: Callable[[str], None], seconds: int = SECONDS) -> Iterator[Frames]:
     """All frames of a file in the order of time, in parts. `problem` gets what could not be read.
 
-    Raises Mf4Error where that is all of it, or all that comes behind.
+    Raises BoundedError where that is all of it, or all that comes behind. seconds: for a file of any size.
     """
-    command = module_command(__name__, str(path.resolve()), str(seconds))
-    environ = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # each takes 30 MB of addresses, and none computes here
-    null = subprocess.DEVNULL
     channels: list[str] = []
-    with subprocess.Popen(command, env=environ, stdin=null, stdout=subprocess.PIPE, stderr=null) as process:
-        try:
-            assert process.stdout is not None
-            while True:
-                match _received(process.stdout):
-                    case Frames() as frames:
-                        channels.extend(frames.channels[len(channels) :])
-                        yield replace(frames, channels=channels)
-                    case str() as text:
-                        problem(text)
-                    case _End(None):
-                        return
-                    case _End(str() as why):
-                        raise Mf4Error(why)
-        finally:
-            process.kill()
-
-
-@dataclass(frozen=True)
-class _End:
-    why: str | None  # None: all has been sent
-
-
-_Sent = Frames | str | _End  # a string: what could not be read
-
-
-def _received(stream: IO[bytes]) -> _Sent:
-    try:
-        sent: _Sent = pickle.load(stream)
-    except (EOFError, pickle.UnpicklingError):  # ended by the kernel
-        return _End(_TOO_MUCH)
-    return sent
+    for sent in results_of(__name__, str(path.resolve()), str(seconds)):
+        if isinstance(sent, Frames):
+            channels.extend(sent.channels[len(channels) :])
+            yield replace(sent, channels=channels)
+        else:
+            problem(sent)
 
 
 def main(path: Path, seconds: int) -> None:
-    """The process: sends frames, problems and how it ended to standard output."""
-    out = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    sys.stdout = sys.stderr  # what others print is none of it
-    why: str | None = None
+    """The process that reads it."""
+    import asammdf
 
-    def send(what: _Sent) -> None:
-        pickle.dump(what, out)
-        out.flush()
-
-    try:
-        import asammdf
-
-        status = path.stat()
-        size = min(status.st_size, status.st_blocks * 512)  # a file with holes has less than it says
-        _limit(size, seconds)
+    def read(send: Callable[[Frames | str], None]) -> None:
         # A frame whose bytes are marked as invalid came nevertheless.
         options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
         with asammdf.MDF(path, **options) as mdf:
-            _send_frames(mdf, max(UNPACKED_BYTES, UNPACKED_TIMES * size), send)
-    except MemoryError:
-        why = _TOO_MUCH
-    except Exception as error:  # asammdf has no common base class for what a broken file makes it raise
-        why = _why(error)
-    send(_End(why))
-    os._exit(0)  # what asammdf cannot read it also cannot close
+            _send_frames(mdf, max(UNPACKED_BYTES, UNPACKED_TIMES * bytes_on_disk(path.stat())), send)
+
+    send_results(path, Bounds(_MEMORY_BYTES, _MEMORY_TIMES, seconds, _SECONDS_PER_MIB), read)
 
 
-def _limit(size: int, seconds: int) -> None:
-    """Of this process from here on. size: the file's, in bytes. seconds: for a file of any size."""
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    spent_s = math.ceil(usage.ru_utime + usage.ru_stime)
-    for limit, most in (
-        (resource.RLIMIT_AS, used + MEMORY_BYTES + MEMORY_TIMES * size),
-        (resource.RLIMIT_CPU, spent_s + seconds + math.ceil(SECONDS_PER_MIB * size / MIB)),
-    ):
-        hard = resource.getrlimit(limit)[1]
-        resource.setrlimit(limit, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
-
-
-def _send_frames(mdf: Any, most_bytes: int, send: Callable[[_Sent], None]) -> None:
+def _send_frames(mdf: Any, most_bytes: int, send: Callable[[Frames | str], None]) -> None:
     """All frames of an open `asammdf.MDF`. most_bytes: how much may be unpacked."""
     groups = [
         (number, channel.name)
@@ -164,24 +96,21 @@ def _send_frames(mdf: Any, most_bytes: int, send: Callable[[_Sent], None]) -> No
                 count += len(frames)
                 unpacked += len(frames) * record_bytes
                 if unpacked > most_bytes:
-                    raise Mf4Error(TOO_MUCH_PACKED)
+                    raise BoundedError(TOO_MUCH_PACKED)
                 if filled > 1:
                     parts.append(frames)
                 else:
                     send(frames)
-        except (MemoryError, Mf4Error):
+        except (MemoryError, BoundedError):
             raise
-        except Exception as error:  # the same as in main
-            send(f"not readable as MF4 after frame {count}: {_why(error)}")
+        except Exception as error:  # asammdf has no common base class for what a broken file makes it raise
+            text = " ".join(str(error).split())[:300] or type(error).__name__
+            send(f"not readable as MF4 after frame {count}: {text}")
     if parts:
         whole = joined(parts)
         order = np.argsort(whole.t_ns, kind="stable")
         for begin in range(0, len(order), _BATCH):
             send(whole.only(order[begin : begin + _BATCH]))
-
-
-def _why(error: Exception) -> str:
-    return " ".join(str(error or type(error).__name__).split())[:300]
 
 
 def _group_frames(

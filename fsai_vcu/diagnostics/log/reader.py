@@ -220,7 +220,8 @@ class Log:
         if find_spec("asammdf") is None:
             self.problems.add(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'")
             return
-        from fsai_vcu.diagnostics.log.mf4 import Mf4Error, read_mf4
+        from fsai_vcu.diagnostics.log.mf4 import read_mf4
+        from fsai_vcu.runtime.bounded import BoundedError
 
         with contextlib.ExitStack() as stack:
             try:
@@ -231,7 +232,7 @@ class Log:
                     unpacked.flush()
                     path = Path(unpacked.name)
                 yield from read_mf4(path, lambda problem: self.problems.add(f"{self.name}: {problem}"))
-            except (Mf4Error, OSError, EOFError, zlib.error) as error:
+            except (BoundedError, OSError, EOFError, zlib.error) as error:
                 self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")
 
     def _is_cut_off(self) -> bool:

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
-from fsai_vcu.files import SETTINGS_BYTES, open_lock, read_found
+from fsai_vcu.files import SETTINGS_BYTES, bytes_on_disk, open_lock, read_found
 from fsai_vcu.interface.errors import UserError
 
 _DIGITS: Final = 6
 _KINDS: Final = (".log", ".mcap", ".json")
 _RANGE: Final = 10**_DIGITS - 1  # segments are numbered from 1 to it, and then from 1 again
-_BLOCK_BYTES: Final = 512  # st_blocks' unit, whatever the file system's is; a file with holes has less than its size
 _MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
 LOST_HERE: Final = "lost_in_receive_buffer"
@@ -156,7 +155,7 @@ class SegmentFolder:
             except OSError:
                 continue  # deleted meanwhile
             if stat.S_ISREG(entry.st_mode):
-                found[number] = found.get(number, 0) + min(entry.st_size, entry.st_blocks * _BLOCK_BYTES)
+                found[number] = found.get(number, 0) + bytes_on_disk(entry)
         return found
 
     def _files(self) -> Iterator[tuple[int, Path]]:
