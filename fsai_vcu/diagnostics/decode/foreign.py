@@ -12,7 +12,7 @@ from fsai_vcu.interface.database import ENCODING
 from fsai_vcu.runtime.bounded import Bounds, send_results
 
 import cantools.database  # isort: skip
-from cantools.database import UnsupportedDatabaseFormatError  # isort: skip
+from cantools.database.errors import UnsupportedDatabaseFormatError  # isort: skip
 
 # cantools takes five seconds and 100 MiB for each MiB of a DBC file.
 BOUNDS: Final = Bounds(memory_bytes=256 * MIB, memory_times=150, seconds=10, seconds_per_mib=20.0)
