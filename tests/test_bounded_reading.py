@@ -20,6 +20,7 @@ import pytest
 import zstandard
 
 from fsai_hil.simulator.tracks import TrackError, load_track
+from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.log.mf4 import read_mf4
 from fsai_vcu.diagnostics.log.reader import open_log
@@ -128,6 +129,16 @@ def test_a_log_takes_memory_and_time_as_its_bytes_do(what: str, plain_s_per_mib:
     (_, problems), taken_s = in_little_memory(lambda: spent_s(lambda: frames_and_problems(path)))
     assert problems and all(len(problem) < 400 + len(str(path)) for problem in problems)
     assert taken_s < max(LEAST_S, TIMES * plain_s_per_mib * path.stat().st_size / MIB)
+
+
+@pytest.mark.parametrize("words", [["stats"], ["explain"], ["report", "-o", "r.html"]], ids=lambda words: words[0])
+def test_a_log_that_jumps_by_lifetimes_takes_no_room_for_them(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "run.log"
+    path.write_text("".join(f"({second}.000000) can0 520#0102030405060708\n" for second in (1, 2, 9_000_000_000)))
+    assert in_little_memory(lambda: main([words[0], str(path), *words[1:]])) == 1
 
 
 def test_of_a_line_without_end_the_frames_around_it_are_kept(tmp_path: Path) -> None:
