@@ -110,11 +110,15 @@ profile: setup-for-tests  ## where the time goes, as the pictures of docs/profil
 	$(BIN)/python -m fsai_hil.rehearsal.profiles -o docs/pictures
 
 ##@ For others
-install:  ## install as the car's software, as root (or below DESTDIR=...); docs/car.md says what comes next
+install:  ## install as the car's software, as root, who only copies (or below DESTDIR=...); docs/car.md says what comes next
 	@scripts/install-car install
 
 uninstall:  ## take it away again; configuration and logs are kept
 	@scripts/install-car uninstall
+
+lock: setup  ## renew the versions and hashes of all that the car gets (scripts/locks); asks the package index
+	@$(BIN)/python -c "import uv" 2>/dev/null || $(BIN)/pip install -q "uv>=0.9,<1"
+	@scripts/lock-car $(BIN)/python
 
 deb:  ## a Debian package that needs no network where it is installed, in out/deb
 	@scripts/install-car deb

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import time
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -20,6 +21,11 @@ TRACK_BYTES: Final = MIB
 """Most that is read of a track; the longest ones have 100 KiB."""
 DATABASE_BYTES: Final = 4 * MIB
 """Most that is read of a signal database. cantools takes five seconds and 100 MiB for each MiB of it."""
+UNPACKED_TIMES: Final = 100
+"""Most that a packed log unpacks to, in its size. gzip makes one 10 to 17 times smaller."""
+UNPACKED_BYTES: Final = 64 * MIB
+"""Below it a log may unpack to anything."""
+TOO_MUCH_PACKED: Final = f"it unpacks to more than {UNPACKED_TIMES} times its size, as no log does"
 
 _KINDS: Final = {
     stat.S_IFIFO: "it is a pipe, not a file",
@@ -61,6 +67,8 @@ def open_lock(path: Path | str) -> BinaryIO:
         return open_found(path, write=True)
     except FileNotFoundError:
         pass
+    except IsADirectoryError:
+        Path(path).rename(f"{path}.{time.time_ns()}")  # it may hold something
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.ELOOP, errno.EMLINK):
             raise
@@ -69,6 +77,11 @@ def open_lock(path: Path | str) -> BinaryIO:
         return os.fdopen(os.open(path, _NEW | os.O_RDWR, 0o644), "r+b")
     except FileExistsError:  # another program was quicker
         return open_found(path, write=True)
+
+
+def bytes_on_disk(status: os.stat_result) -> int:
+    """How much there is of a file: one with holes has less than its size."""
+    return min(status.st_size, status.st_blocks * 512)  # the unit of st_blocks, whatever the file system's is
 
 
 def read_named(path: Path | str, most_bytes: int, encoding: str = "utf-8", errors: str = "strict") -> str:

@@ -35,7 +35,7 @@ ARROWS: dict[str, set[str]] = {
     "fsai_vcu.runtime": {"fsai_vcu.core", "fsai_vcu.interface", LEAN, FILES},
     DIAGNOSTICS: set(),
     f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime", LEAN, FILES, PRINTABLE},
-    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", FILES, PRINTABLE},
+    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},

@@ -8,20 +8,27 @@ import pickle
 import random
 import resource
 import struct
+import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import zstandard
 
 from fsai_hil.simulator.tracks import TrackError, load_track
+from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.log.mf4 import read_mf4
 from fsai_vcu.diagnostics.log.reader import open_log
+from fsai_vcu.diagnostics.recorder.repair import repair_mcap
 from fsai_vcu.interface.database import load_database
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
+from fsai_vcu.runtime.bounded import BoundedError
 from fsai_vcu.runtime.configuration import read_configuration
 from fsai_vcu.runtime.limits_file import read_limits
 
@@ -51,7 +58,9 @@ def in_little_memory(work: Callable[[], Any]) -> Any:
             resource.setrlimit(resource.RLIMIT_AS, (most, most))
             result: Any = work()
         except BaseException as error:
-            result = AssertionError(f"{type(error).__name__}: {error}"[:500])
+            result = (
+                error if isinstance(error, BoundedError) else AssertionError(f"{type(error).__name__}: {error}"[:500])
+            )
         with os.fdopen(write_end, "wb") as pipe:
             pickle.dump(result, pipe)
         os._exit(0)
@@ -61,7 +70,7 @@ def in_little_memory(work: Callable[[], Any]) -> Any:
     os.waitpid(child, 0)
     assert sent, "it was ended by the limit"
     result = pickle.loads(sent)
-    if isinstance(result, AssertionError):
+    if isinstance(result, AssertionError | BoundedError):
         raise result
     return result
 
@@ -122,6 +131,16 @@ def test_a_log_takes_memory_and_time_as_its_bytes_do(what: str, plain_s_per_mib:
     assert taken_s < max(LEAST_S, TIMES * plain_s_per_mib * path.stat().st_size / MIB)
 
 
+@pytest.mark.parametrize("words", [["stats"], ["explain"], ["report", "-o", "r.html"]], ids=lambda words: words[0])
+def test_a_log_that_jumps_by_lifetimes_takes_no_room_for_them(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "run.log"
+    path.write_text("".join(f"({second}.000000) can0 520#0102030405060708\n" for second in (1, 2, 9_000_000_000)))
+    assert in_little_memory(lambda: main([words[0], str(path), *words[1:]])) == 1
+
+
 def test_of_a_line_without_end_the_frames_around_it_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     for length in (5_000, 3 * MIB, 6 * MIB):
@@ -132,6 +151,81 @@ def test_of_a_line_without_end_the_frames_around_it_are_kept(tmp_path: Path) -> 
             "line 4: longer than 4096 characters",
             "line 7: not a line of candump",
         ]
+
+
+def mf4_of(frames: int, compression: int) -> bytes:
+    """An MF4 of frames that are all zeros."""
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed (pip install 'fsai-vcu[mf4]')")
+    kinds = {"BusChannel": "u1", "ID": "<u4", "DataLength": "u1", "DataBytes": "(64,)u1"}
+    samples = np.zeros(frames, [(f"CAN_DataFrame.{name}", kind) for name, kind in kinds.items()])
+    with tempfile.TemporaryDirectory() as folder, asammdf.MDF(version="4.10") as mdf:
+        mdf.append(asammdf.Signal(samples, np.arange(frames) / 1000, name="CAN_DataFrame"))
+        return Path(mdf.save(Path(folder) / "given.mf4", compression=compression)).read_bytes()
+
+
+def in_a_circle(content: bytes, kind: bytes) -> bytes:
+    """The MF4 with the first of its blocks of that kind followed by itself."""
+    at = content.index(kind)
+    return content[: at + 24] + struct.pack("<Q", at) + content[at + 32 :]
+
+
+def test_an_mf4_takes_memory_and_time_as_its_bytes_do(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    content = mf4_of(1_000_000, 2)
+    assert len(content) < MIB
+    path.write_bytes(content)
+    (_, problems), taken_s = in_little_memory(lambda: spent_s(lambda: frames_and_problems(path)))
+    assert problems == [f"{path}: not readable as MF4: it unpacks to more than 100 times its size, as no log does"]
+    assert taken_s < LEAST_S
+
+
+def test_a_list_in_an_mf4_that_never_ends_is_given_up(tmp_path: Path) -> None:
+    path = tmp_path / "run.mf4"
+    path.write_bytes(in_a_circle(mf4_of(10, 0), b"##CG"))
+    with pytest.raises(BoundedError, match="more memory or time than a file of its size"):
+        in_little_memory(lambda: list(read_mf4(path, print, seconds=1)))
+
+
+def test_an_mf4_with_less_than_it_announces_is_said_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.mf4"
+    content = bytearray(mf4_of(10, 0))
+    at = content.index(b"##CG") + 24 + 6 * 8 + 8
+    assert content[at : at + 8] == struct.pack("<Q", 10)
+    content[at : at + 8] = struct.pack("<Q", 1 << 40)
+    path.write_bytes(content)
+    assert frames_and_problems(path) == (10, [f"{path}: cut off: 10 of {1 << 40} frames are there"])
+
+
+def records_of_mcap(*parts: bytes) -> bytes:
+    """Its beginning: magic and header, then what is given."""
+    return b"\x89MCAP0\r\n" + struct.pack("<BQLL", 1, 8, 0, 0) + b"".join(parts)
+
+
+def chunk_of_mcap(compression: bytes, unpacked_bytes: int, data: bytes) -> bytes:
+    body = struct.pack("<QQQLL", 0, 0, unpacked_bytes, 0, len(compression)) + compression
+    body += struct.pack("<Q", len(data)) + data
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+MCAPS: dict[str, Callable[[], bytes]] = {
+    "zeros": lambda: b"",
+    "a chunk that unpacks": lambda: chunk_of_mcap(b"zstd", 1000, zstandard.compress(bytes(300 * MIB))),
+    "a chunk that says so": lambda: chunk_of_mcap(b"zstd", 1 << 40, zstandard.compress(b"")),
+    "a chunk of a kind that has no bound": lambda: chunk_of_mcap(b"lz4", 1000, b""),
+    "a long attachment": lambda: struct.pack("<BQQQLLQ", 9, 100, 0, 0, 0, 0, 1 << 33),
+    "a long record": lambda: struct.pack("<BQ", 0x80, 1 << 31),
+}
+
+
+@pytest.mark.parametrize("what", MCAPS)
+def test_an_mcap_is_repaired_in_memory_and_time_of_its_bytes(what: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(records_of_mcap(MCAPS[what]()))
+    length = 10 << 30  # as a disk that was to be filled leaves it
+    os.truncate(path, length)
+    cut, taken_s = in_little_memory(lambda: spent_s(lambda: repair_mcap(path)))
+    assert cut == length - len(records_of_mcap()) and path.stat().st_size < 1000
+    assert taken_s < LEAST_S
 
 
 def _expanding_yaml(last: str) -> str:
@@ -165,6 +259,24 @@ TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
     "a million signals": ("dbc", lambda: "BO_ 1 M: 8 A\n" + ' SG_ S : 0|1@1+ (1,0) [0|0] "" A\n' * 1_000_000),
     "an open text": ("dbc", lambda: 'VERSION "' + '"\\' * 200_000),
     "brackets": ("dbc", lambda: 'BU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|1@1+ (1,0) [0|0] "" A\nSG_ ' + "[" * 200_000),
+    "a range of values": (
+        "dbc",
+        lambda: (
+            'BU_: A\nBO_ 1 M: 8 A\n SG_ X M : 0|8@1+ (1,0) [0|0] "" A\n SG_ Y m1 : 8|8@1+ (1,0) [0|0] "" A\n\n'
+            "SG_MUL_VAL_ 1 Y X 0-999999999 ;\n"
+        ),
+    ),
+    "a message of SYM": (
+        "sym",
+        lambda: 'FormatVersion=6.0 // x\nTitle="t"\n\n{SENDRECEIVE}\n\n[M]\nID=123h\nLen=99999999\n',
+    ),
+    "a signal of KCD": (
+        "kcd",
+        lambda: (
+            '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Bus name="b"><Message id="0x1" '
+            'name="M" length="8"><Signal name="S" offset="0" length="99999999"/></Message></Bus></NetworkDefinition>'
+        ),
+    ),
     "entities": (
         "kcd",
         lambda: (
@@ -179,6 +291,7 @@ READERS: dict[str, tuple[Callable[[Path], object], ...]] = {
     "csv": (load_track,),
     "dbc": (lambda path: load_databases([path]), lambda path: load_database([path])),
     "kcd": (lambda path: load_databases([path]),),
+    "sym": (lambda path: load_databases([path]),),
     "toml": (read_configuration, read_limits),
     "log": (frames_and_problems,),
 }
@@ -214,6 +327,7 @@ PLAIN: dict[str, tuple[str, bytes]] = {
     "GVRET": ("log", GVRET.encode()),
     "ASC": ("log", ASC.encode()),
     "TRC": ("log", TRC.encode()),
+    "MF4": ("log", b""),  # made in the test: it needs a package, and a second
     "BLF": ("log", blf_of(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 48, 1) + bytes(32))),
     "DBC": ("dbc", (dbc_dir() / "pcan_gps.dbc").read_bytes()),
     "configuration": ("toml", TOML.encode()),
@@ -242,10 +356,11 @@ def torn(content: bytes, chance: random.Random) -> bytes:
 def test_a_torn_file_is_read_or_refused_in_words(kind: str, tmp_path: Path) -> None:
     suffix, content = PLAIN[kind]
     path = tmp_path / f"given.{suffix}"
+    content = content or mf4_of(30, 0)
 
     def all_torn() -> int:
         refused = 0
-        for seed in range(25):
+        for seed in range(3 if kind == "MF4" else 25):  # it starts a process for each
             path.write_bytes(torn(content, random.Random(seed)))
             refused += len(list(refusals(path, suffix)))
         return refused

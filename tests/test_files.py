@@ -87,9 +87,11 @@ def test_a_lock_takes_the_place_of_what_cannot_be_one(trap: str, tmp_path: Path,
     assert place.read_text() == "kept"
 
 
-def test_a_folder_in_the_place_of_a_lock_is_an_error_in_words(tmp_path: Path) -> None:
-    with pytest.raises(IsADirectoryError, match="Is a directory"):
-        open_lock(tmp_path)
+def test_a_folder_in_the_place_of_a_lock_is_moved_aside(tmp_path: Path) -> None:
+    (tmp_path / ".lock").mkdir()
+    (tmp_path / ".lock" / "kept").touch()
+    open_lock(tmp_path / ".lock").close()
+    assert (tmp_path / ".lock").is_file() and [path.name for path in tmp_path.glob(".lock.*/*")] == ["kept"]
 
 
 def test_a_new_file_is_not_made_behind_a_link_to_nowhere(tmp_path: Path) -> None:

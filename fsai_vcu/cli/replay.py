@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import signal
 import sys
 import time
@@ -44,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    check_numbers(args, loop=0)
-    if not 0.0 < args.rate < math.inf:
-        raise WrongUse(f"--rate is {args.rate:g}, not a rate")
+    check_numbers(args, loop=0, rate=0.01)
     sources = Sources("replay", args.logs, part=part_of(args, Decoding("replay", args)))
     if sources.live:
         raise WrongUse(f"{sources.name} is an interface; replay reads logs")

@@ -7,6 +7,7 @@ name of its own that leads here (Host), or by asking from where it is (Origin).
 from __future__ import annotations
 
 import asyncio
+import errno
 import ipaddress
 import socket
 import threading
@@ -54,8 +55,11 @@ class Server:
         except OSError:
             self.socket.close()
             raise
+        except (TypeError, ValueError) as error:  # a host that is no name at all
+            self.socket.close()
+            raise OSError(errno.EINVAL, "no name of a host") from error
         self.server_address = self.socket.getsockname()
-        self.names = {"localhost", host.lower(), *_names_of_this_machine()}
+        self.names = {"localhost", host.lower(), *_names_of_this_machine()} - {""}
         self.connected: Counter[str] = Counter()  # by address
         self.loop = asyncio.new_event_loop()
         self._ended = False

@@ -29,6 +29,9 @@ _WHOLE_MESSAGE = re.compile(r"BO_ \d+ .+\n")
 _LONGEST_BYTES = 1785  # SAE J1939-21: the most that a message has, sent in many frames
 _GAP = r"(?:\s|//[^\n]*(?:\n|\Z))"
 _MESSAGE_LENGTH = re.compile(rf"\bBO_{_GAP}+\d+{_GAP}+\w+{_GAP}*:{_GAP}*(\d+)")
+_MODEST_CHARACTERS = 128 << 10
+_IMMODEST = re.compile(rf"SG_MUL_VAL_{_GAP}+\d|\d{{400}}")
+_MULTIPLEXED = re.compile(rf"\bSG_{_GAP}+\w+{_GAP}+m\d")
 _SIGNAL_PLACE = re.compile(rf":{_GAP}*(\d+){_GAP}*\|{_GAP}*(\d+){_GAP}*@")
 
 logging.getLogger("cantools").addHandler(logging.NullHandler())  # else it says on stderr what a file has twice
@@ -61,6 +64,8 @@ def _load_one(path: Path) -> Database:
     try:
         text = read_named(path, DATABASE_BYTES, ENCODING, "replace")
         check_lengths(path, text)
+        if not is_modest(text):
+            raise DatabaseError(f"{path}: not a valid DBC file: larger than any of this car's, or more multiplexed")
         database.add_dbc_string(text)
     except FileNotFoundError:
         raise DatabaseError(f"{path}: no such DBC file") from None
@@ -105,6 +110,13 @@ def check_lengths(path: Path, text: str) -> None:
     for found in _SIGNAL_PLACE.finditer(text):
         if any(_too_large(number, 8 * _LONGEST_BYTES) for number in found.groups()):
             raise DatabaseError(f"{path}: not a valid DBC file: a signal beyond {_LONGEST_BYTES} bytes")
+
+
+def is_modest(text: str) -> bool:
+    """Whether the parser's work on a DBC file is bounded: in others small texts can name millions of values."""
+    if len(text) > _MODEST_CHARACTERS or _IMMODEST.search(text):
+        return False
+    return sum(1 for _ in _MULTIPLEXED.finditer(text)) <= 500
 
 
 def _too_large(digits: str, most: int) -> bool:

@@ -10,7 +10,6 @@ import logging
 import os
 import select
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 
@@ -33,6 +32,7 @@ from fsai_vcu.runtime.link import (
     ResetConfirmed,
     link_pair,
 )
+from fsai_vcu.runtime.module_command import module_command
 
 REQUEST_TIMEOUT_S = 0.5  # the loop answers in its next turn; meanwhile the edge does nothing else
 _START_TIMEOUT_S = 60.0  # an interpreter's start on a slow processor
@@ -259,10 +259,6 @@ class LoopHandle:
             select.select(self._link.descriptors, [], [], left_s)
 
 
-# A module, with no regard to files of its name in the folder where the edge was started. Python 3.11 has -P for it.
-_RUN = "import sys; del sys.path[0], sys.argv[0]; import runpy; runpy.run_module(sys.argv[0], run_name='__main__')"
-
-
 def start_loop_process(bus: str) -> LoopHandle:
     """Start the loop's process. `bus` is for lists of processes; the settings name it for the loop."""
     ours, theirs = link_pair()
@@ -270,7 +266,7 @@ def start_loop_process(bus: str) -> LoopHandle:
     descriptors = [lane.fileno() for lane in theirs]
     with theirs.ordinary, theirs.urgent:
         process = subprocess.Popen(
-            [sys.executable, "-c", _RUN, "fsai_vcu.runtime.loop_process", ",".join(map(str, descriptors)), bus],
+            module_command("fsai_vcu.runtime.loop_process", ",".join(map(str, descriptors)), bus),
             stdin=subprocess.DEVNULL,
             pass_fds=descriptors,
             env=environ,

@@ -96,8 +96,8 @@ USES = [
     *(
         (f"replay {use} -i {BUS}", status, words)
         for use, status, words in (
-            ("run.log --rate 0", 2, "--rate is 0, not a rate"),
-            ("run.log --rate nan", 2, "--rate is nan, not a rate"),
+            ("run.log --rate 0", 2, "--rate is 0, but must be 0.01 or more"),
+            ("run.log --rate nan", 2, "--rate is nan, but must be 0.01 or more"),
             ("run.log --loop -1", 2, "--loop is -1, but must be 0 or more"),
             ("run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1"),
             ("run.log --from=-3", 2, "--from is -3: neither seconds from 0 on"),

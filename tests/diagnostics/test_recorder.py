@@ -315,15 +315,22 @@ def test_a_pipe_or_a_folder_is_passed_over_where_a_file_was(
 ) -> None:
     (tmp_path / "run").mkdir()
     make(tmp_path / "run" / name)
-    if name == ".can0.lock" and make is os.mkdir:
-        with pytest.raises(IsADirectoryError):
-            Rig(tmp_path / "run")
-        return
     rig = Rig(tmp_path / "run", Bounds(segment_bytes=10 * LINE_BYTES, total_bytes=30 * LINE_BYTES), mcap=False)
     for turn in range(10):
         rig.turn(received(10, 10 * turn))
     assert not rig.recording.in_trouble
     assert numbers(rig.logs()[-1]) == list(range(90, 100))
+
+
+def test_a_file_with_holes_takes_no_room_from_the_recording(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run", Bounds(segment_bytes=1000 * LINE_BYTES, total_bytes=4000 * LINE_BYTES), mcap=False)
+    rig.turn(received(10))
+    rig.recording.close(rig.now_ns)
+    with (tmp_path / "run" / "can0-000002.log").open("wb") as file:
+        file.truncate(10 << 30)
+    rig = Rig(tmp_path / "run", Bounds(segment_bytes=1000 * LINE_BYTES, total_bytes=4000 * LINE_BYTES), mcap=False)
+    rig.turn(received(10, 10))
+    assert numbers(rig.logs()[0]) == list(range(10)) and numbers(rig.logs()[-1]) == list(range(10, 20))
 
 
 @pytest.mark.parametrize("there", [[999_999], [999_998], [1, 999_999], [21, 22, 999_999]])

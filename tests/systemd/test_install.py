@@ -46,7 +46,7 @@ def test_uninstalling_leaves_the_configuration_and_nothing_else(tmp_path: Path) 
 def test_wrong_use_is_reported_in_one_line() -> None:
     done = install_car("instal")
     assert done.returncode == 1
-    assert done.stderr == "install-car: say install, uninstall or deb\n"
+    assert done.stderr == "install-car: say install, build, uninstall or deb\n"
 
 
 def test_an_environment_that_cannot_be_copied_is_refused_first(tmp_path: Path) -> None:
@@ -99,3 +99,13 @@ def test_the_package_keeps_the_configuration_on_upgrade(deb: Path, tmp_path: Pat
     assert "/usr/lib/fsai/settle" in (tmp_path / "postinst").read_text()
     for script in ("postinst", "prerm", "postrm"):
         subprocess.run(["sh", "-n", tmp_path / script], check=True)
+
+
+def test_the_package_says_what_each_of_its_files_is(deb: Path, tmp_path: Path) -> None:
+    dpkg_deb("-e", deb, tmp_path / "DEBIAN")
+    dpkg_deb("-x", deb, tmp_path)
+    sums = (tmp_path / "DEBIAN" / "md5sums").read_text()
+    subprocess.run(["md5sum", "--check", "--quiet", "--strict"], input=sums, cwd=tmp_path, text=True, check=True)
+    named = {line.partition("  ")[2] for line in sums.splitlines()}
+    packed = {name for name in contents(tmp_path) if not name.startswith("DEBIAN/")}
+    assert named == {name for name in packed if not name.startswith("etc/")}, "configuration is for the team to change"

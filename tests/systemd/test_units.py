@@ -53,6 +53,10 @@ def test_a_service_has_no_more_rights_than_it_needs(machine: Path, unit: str) ->
     exposure = re.search(r"exposure level for .*: ([\d.]+)", done.stdout)
     assert exposure is not None, done.stderr
     assert float(exposure[1]) <= MOST_EXPOSED, done.stdout
+    page = (CHECKOUT / "docs" / "security.md").read_text()
+    (version,) = re.findall(r"`systemd-analyze security` of systemd (\d+)", page)
+    if subprocess.run(["systemd-analyze", "--version"], capture_output=True, text=True).stdout.split()[1] == version:
+        assert f"`{unit.replace('@can0', '@')}` {exposure[1]}" in page, "every systemd counts in its own way"
     listed = json.loads(analyze(machine, "security", "--offline=true", "--json=short", unit).stdout)
     user = next(entry for entry in listed if "DynamicUser" in entry["name"])
     assert user["set"] is True, "it runs as root"

@@ -18,6 +18,7 @@ from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.printable import printable
+from fsai_vcu.runtime.bounded import results_of
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -130,7 +131,14 @@ def _load(path: Path) -> tuple[Database, bool]:
 
     Raises DatabaseError.
     """
-    from fsai_vcu.interface.database import ENCODING, DatabaseError, check_lengths, check_whole, make_flags_unsigned
+    from fsai_vcu.interface.database import (
+        ENCODING,
+        DatabaseError,
+        check_lengths,
+        check_whole,
+        is_modest,
+        make_flags_unsigned,
+    )
 
     import cantools.database  # isort: skip  after ours, which see to it that it loads no more than it needs
     from cantools.database.can import Database  # isort: skip
@@ -140,8 +148,11 @@ def _load(path: Path) -> tuple[Database, bool]:
         text = read_named(path, DATABASE_BYTES, ENCODING if kind in ("dbc", "sym") else "utf-8", "replace")
         if kind not in _KINDS or kind == "dbc":
             check_lengths(path, text)
-        # Without the cache that an environment variable can name: what it holds is unpickled.
-        loaded = cantools.database.load_string(text, kind if kind in _KINDS else None, strict=False)
+        if kind == "dbc" and is_modest(text):
+            # Without the cache that an environment variable can name: what it holds is unpickled.
+            loaded = cantools.database.load_string(text, kind, strict=False)
+        else:
+            (loaded,) = results_of("fsai_vcu.diagnostics.decode.foreign", str(path), kind if kind in _KINDS else "")
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
     except DatabaseError:

@@ -1,8 +1,14 @@
-"""Frames of an MF4 bus log as columns, as asammdf reads them: no work in Python for each frame."""
+"""Frames of an MF4 bus log as columns, as asammdf reads them: no work in Python for each frame.
+
+asammdf trusts a file, and so runs in a process with bounds.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,40 +28,89 @@ from fsai_vcu.diagnostics.log.frames import (
     Frames,
     joined,
 )
+from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES, bytes_on_disk
+from fsai_vcu.runtime.bounded import BoundedError, Bounds, results_of, send_results
 
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 _MARKS: Final = {"EDL": FD, "BRS": BRS, "ESI": ESI}
 _EXTENDED_BIT: Final = 1 << 31  # of an identifier, where no IDE stands beside it
 _AT_ONCE: Final = 1 << 22  # bytes of records: each has 64 of data, of which few are used
+_BATCH: Final = 100_000
+_RECORD_BYTES: Final = 16  # at least, of a frame
+_MEMORY_BYTES: Final = 256 * MIB
+_MEMORY_TIMES: Final = 32  # a packed log of two kinds of frames, which are sorted, takes 20 times its size
+SECONDS: Final = 10
+_SECONDS_PER_MIB: Final = 2.0  # a packed log takes 0.2
 
 _USED: Final = np.array([(1 << 8 * length) - 1 for length in range(CLASSIC_BYTES + 1)], np.uint64)  # bits, by length
 
 Columns = dict[str, npt.NDArray[Any]]
 
 
-def bus_frames(mdf: Any, problem: Callable[[str], None]) -> list[Frames] | None:
-    """All frames of an open `asammdf.MDF`, in the order of time and in parts; None where it is no bus log.
+def read_mf4(path: Path, problem: Callable[[str], None], seconds: int = SECONDS) -> Iterator[Frames]:
+    """All frames of a file in the order of time, in parts. `problem` gets what could not be read.
 
-    `problem` gets what could not be read.
+    Raises BoundedError where that is all of it, or all that comes behind. seconds: for a file of any size.
     """
+    channels: list[str] = []
+    for sent in results_of(__name__, str(path.resolve()), str(seconds)):
+        if isinstance(sent, Frames):
+            channels.extend(sent.channels[len(channels) :])
+            yield replace(sent, channels=channels)
+        else:
+            problem(sent)
+
+
+def main(path: Path, seconds: int) -> None:
+    """The process that reads it."""
+    import asammdf
+
+    def read(send: Callable[[Frames | str], None]) -> None:
+        # A frame whose bytes are marked as invalid came nevertheless.
+        options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
+        with asammdf.MDF(path, **options) as mdf:
+            _send_frames(mdf, max(UNPACKED_BYTES, UNPACKED_TIMES * bytes_on_disk(path.stat())), send)
+
+    send_results(path, Bounds(_MEMORY_BYTES, _MEMORY_TIMES, seconds, _SECONDS_PER_MIB), read)
+
+
+def _send_frames(mdf: Any, most_bytes: int, send: Callable[[Frames | str], None]) -> None:
+    """All frames of an open `asammdf.MDF`. most_bytes: how much may be unpacked."""
     groups = [
         (number, channel.name)
         for number, group in enumerate(mdf.groups)
         for channel in group.channels
         if channel.name in _KINDS
     ]
+    if not groups:
+        send("an MF4 of signals, not of a bus's frames")
     mdf.configure(read_fragment_size=_AT_ONCE)
+    filled = sum(mdf.groups[number].channel_group.cycles_nr > 0 for number, _ in groups)
     parts: list[Frames] = []
     channels: list[str] = []
+    count = unpacked = 0
     for number, kind in groups:
+        record_bytes = max(_RECORD_BYTES, mdf.groups[number].channel_group.samples_byte_nr)
         try:
-            parts.extend(_group_frames(mdf, number, kind, channels, problem))
+            for frames in _group_frames(mdf, number, kind, channels, send):
+                count += len(frames)
+                unpacked += len(frames) * record_bytes
+                if unpacked > most_bytes:
+                    raise BoundedError(TOO_MUCH_PACKED)
+                if filled > 1:
+                    parts.append(frames)
+                else:
+                    send(frames)
+        except (MemoryError, BoundedError):
+            raise
         except Exception as error:  # asammdf has no common base class for what a broken file makes it raise
-            problem(f"not readable as MF4 after frame {sum(map(len, parts))}: {error or type(error).__name__}")
-    if sum(mdf.groups[number].channel_group.cycles_nr > 0 for number, _ in groups) > 1:
-        frames = joined(parts)
-        parts = [frames.only(np.argsort(frames.t_ns, kind="stable"))]
-    return parts if groups else None
+            text = " ".join(str(error).split())[:300] or type(error).__name__
+            send(f"not readable as MF4 after frame {count}: {text}")
+    if parts:
+        whole = joined(parts)
+        order = np.argsort(whole.t_ns, kind="stable")
+        for begin in range(0, len(order), _BATCH):
+            send(whole.only(order[begin : begin + _BATCH]))
 
 
 def _group_frames(
@@ -63,6 +118,7 @@ def _group_frames(
 ) -> Iterator[Frames]:
     """Of one channel group, which has frames of one kind. `channels` grows."""
     start_s = mdf.header.start_time.timestamp()
+    announced, read = mdf.groups[number].channel_group.cycles_nr, 0
     for signal in mdf.iter_get(kind, number, raw=True):
         columns = {name.removeprefix(f"{kind}."): signal.samples[name] for name in signal.samples.dtype.names}
         times = signal.timestamps + start_s
@@ -71,6 +127,9 @@ def _group_frames(
             problem(f"a time that is none: {time}")
         t_ns = np.rint(np.where(timely, times, 0) * 1e6).astype(np.int64) * 1000
         yield _frames(columns, t_ns, kind, channels).only(timely)
+        read += len(times)
+    if read < announced:
+        problem(f"cut off: {read} of {announced} frames are there")
 
 
 def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
@@ -106,3 +165,9 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
         channels,
         {row: payload[row, : length[row]].tobytes() for row in np.flatnonzero(length > CLASSIC_BYTES).tolist()},
     )
+
+
+if __name__ == "__main__":
+    from fsai_vcu.diagnostics.log import mf4  # what is sent is of that module, and not of this one, __main__
+
+    mf4.main(Path(sys.argv[1]), int(sys.argv[2]))

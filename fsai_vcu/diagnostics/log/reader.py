@@ -6,13 +6,16 @@ log, with its place, and never an exception. Only a log that cannot be opened at
 
 from __future__ import annotations
 
-import gc
+import contextlib
 import gzip
 import io
 import logging
+import shutil
 import sys
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -23,7 +26,7 @@ from fsai_vcu.diagnostics.log.candump import parse_block
 from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, read_lines, too_long, whole_line
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
-from fsai_vcu.files import open_named
+from fsai_vcu.files import TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES, open_named
 from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
@@ -32,10 +35,6 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 21  # more than that does not stay in a processor's cache
 _BATCH: Final = 10_000
-_MF4_BATCH: Final = 100_000  # of columns, which cost little more than their memory
-
-_UNPACKED_TIMES: Final = 100  # gzip makes a log 10 to 17 times smaller
-_UNPACKED_BYTES: Final = 64 << 20  # below it anything may be
 
 _KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
 _GZIP: Final = b"\x1f\x8b"
@@ -218,34 +217,23 @@ class Log:
 
     def _mf4_chunks(self) -> Iterator[Frames]:
         """Through asammdf alone: python-can's reader works on each frame."""
-        try:
-            import asammdf
-        except ImportError:
+        if find_spec("asammdf") is None:
             self.problems.add(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'")
             return
-        from fsai_vcu.diagnostics.log.mf4 import bus_frames
+        from fsai_vcu.diagnostics.log.mf4 import read_mf4
+        from fsai_vcu.runtime.bounded import BoundedError
 
-        is_file = self._path is not None and isinstance(self._stream, io.BufferedReader)
-        # What asammdf cannot read it also cannot close when it is thrown away, and would say so on stderr.
-        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-        try:
-            source = self._path if is_file else io.BytesIO(self._stream.read())
-            # A frame whose bytes are marked as invalid came nevertheless.
-            options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
-            with asammdf.MDF(source, **options) as mdf:
-                parts = bus_frames(mdf, lambda problem: self.problems.add(f"{self.name}: {problem}"))
-        except Exception as error:  # the same as in _messages
-            self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")
-            parts = []
-            error.__traceback__ = None
-            gc.collect()
-        finally:
-            sys.unraisablehook = hook
-        if parts is None:
-            self.problems.add(f"{self.name}: an MF4 of signals, not of a bus's frames")
-        for frames in parts or []:
-            for begin in range(0, len(frames), _MF4_BATCH):
-                yield frames.only(np.arange(begin, min(begin + _MF4_BATCH, len(frames)), dtype=np.int64))
+        with contextlib.ExitStack() as stack:
+            try:
+                path = self._path
+                if path is None or not isinstance(self._stream, io.BufferedReader):
+                    unpacked = stack.enter_context(tempfile.NamedTemporaryFile(suffix=".mf4"))
+                    shutil.copyfileobj(self._stream, unpacked, _BLOCK_BYTES)
+                    unpacked.flush()
+                    path = Path(unpacked.name)
+                yield from read_mf4(path, lambda problem: self.problems.add(f"{self.name}: {problem}"))
+            except (BoundedError, OSError, EOFError, zlib.error) as error:
+                self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")
 
     def _is_cut_off(self) -> bool:
         """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""
@@ -291,8 +279,8 @@ class _Unpacked(gzip.GzipFile):
 
     def _checked(self, data: bytes) -> bytes:
         self._bytes += len(data)
-        if self._bytes > _UNPACKED_BYTES and self._bytes > _UNPACKED_TIMES * self._packed.bytes:
-            raise OSError(f"it unpacks to more than {_UNPACKED_TIMES} times its size, as no log does")
+        if self._bytes > UNPACKED_BYTES and self._bytes > UNPACKED_TIMES * self._packed.bytes:
+            raise OSError(TOO_MUCH_PACKED)
         return data
 
 

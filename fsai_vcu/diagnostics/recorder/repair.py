@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
-from fsai_vcu.files import open_found
+from fsai_vcu.files import MIB, open_found
 
 if TYPE_CHECKING:
-    from mcap.records import Channel, Chunk, MessageIndex, Schema
+    from mcap.records import Channel, Chunk, McapRecord, MessageIndex, Schema
+    from mcap.stream_reader import StreamReader
 
     from fsai_vcu.diagnostics.export.mcap_summary import Summary
 
 _TAIL: Final = 1 << 16
+_AT_ONCE: Final = 16 * MIB  # most of a record, and of what a chunk unpacks to: the recorder's chunks end behind 1 MiB
 
 
 def repair_text(path: Path) -> int:
@@ -42,11 +44,12 @@ def repair_mcap(path: Path) -> int | None:
 
     Raises OSError, also where it is no file of one name.
 
-    Chunks are not written anew; messages are read only of the last one and of those that bring a new channel.
+    Chunks are not written anew; messages are read only of the last one and of those that bring a new channel. What is
+    larger than the recorder writes it counts as torn, and all behind it.
     """
     from mcap.data_stream import RecordBuilder
     from mcap.records import Chunk, DataEnd, Header, MessageIndex, Metadata, MetadataIndex
-    from mcap.stream_reader import StreamReader, get_chunk_data_stream
+    from mcap.stream_reader import get_chunk_data_stream
     from mcap.writer import MCAP0_MAGIC
 
     from fsai_vcu.diagnostics.export.mcap_summary import Summary
@@ -61,11 +64,12 @@ def repair_mcap(path: Path) -> int | None:
         last: Chunk | None = None
         end = 0
         with suppress(Exception):  # what is torn makes its readers raise many things
-            for record in StreamReader(file, emit_chunks=True).records:
+            for record in _bounded_reader(file).records:
                 at, behind = end or len(MCAP0_MAGIC), file.tell()
                 if isinstance(record, DataEnd):
                     break
                 if isinstance(record, Chunk):
+                    _check_unpacked(record)
                     get_chunk_data_stream(record, validate_crc=True)
                     _learn_channels(summary, last)
                     summary.add_chunk(record, at, behind)
@@ -96,6 +100,42 @@ def repair_mcap(path: Path) -> int | None:
         file.flush()
         os.fsync(file.fileno())
     return max(0, length - kept)
+
+
+class _Reads:
+    """A file of which not too much is read at once, whatever length a record in it claims to have."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def read(self, size: int) -> bytes:
+        if size > _AT_ONCE:
+            raise ValueError(f"{size} bytes at once")
+        return self._file.read(size)
+
+
+def _bounded_reader(file: IO[bytes]) -> StreamReader:
+    """A reader that ends where zeros begin: a disk may have promised gigabytes of them."""
+    from mcap.stream_reader import StreamReader
+
+    class Reader(StreamReader):
+        def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+            if opcode == 0:
+                raise ValueError("zeros")
+            return super()._read_record(opcode, length)
+
+    return Reader(_Reads(file), emit_chunks=True)  # type: ignore[arg-type]
+
+
+def _check_unpacked(chunk: Chunk) -> None:
+    """Raises where it may unpack to more than a chunk has: it says so itself, or does not say."""
+    import zstandard
+
+    sizes = [chunk.uncompressed_size]
+    if chunk.compression:
+        sizes.append(zstandard.frame_content_size(chunk.data))
+    if not all(0 <= size <= _AT_ONCE for size in sizes):
+        raise ValueError(f"a chunk of {max(sizes)} bytes")
 
 
 def _learn_channels(summary: Summary, last: Chunk | None) -> None:

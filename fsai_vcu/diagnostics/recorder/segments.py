@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
-from fsai_vcu.files import SETTINGS_BYTES, open_lock, read_found
+from fsai_vcu.files import SETTINGS_BYTES, bytes_on_disk, open_lock, read_found
 from fsai_vcu.interface.errors import UserError
 
 _DIGITS: Final = 6
@@ -147,7 +147,7 @@ class SegmentFolder:
         return (self.number - number) % _RANGE
 
     def _segments(self) -> dict[int, int]:
-        """Bytes of each segment, by number. What is no regular file is none of a segment."""
+        """Bytes of each segment on the disk, by number. What is no regular file is none of a segment."""
         found: dict[int, int] = {}
         for number, path in self._files():
             try:
@@ -155,7 +155,7 @@ class SegmentFolder:
             except OSError:
                 continue  # deleted meanwhile
             if stat.S_ISREG(entry.st_mode):
-                found[number] = found.get(number, 0) + entry.st_size
+                found[number] = found.get(number, 0) + bytes_on_disk(entry)
         return found
 
     def _files(self) -> Iterator[tuple[int, Path]]:

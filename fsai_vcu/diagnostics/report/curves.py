@@ -132,16 +132,16 @@ def _handshake(record: Record) -> tuple[Curve, ...]:
 
 
 def _load(record: Record) -> Series:
-    """The share of the bus that was busy, in each window of 100 ms."""
+    """The share of the bus that was busy, in each window of 100 ms that has frames, or one beside it that has."""
     bits = wire_bits(record.frames)
     places = (record.frames.t_ns - record.begin_ns) // LOAD_WINDOW_NS
-    count = int(places[-1]) + 1
-    busy = np.bincount(places, weights=bits, minlength=count)
-    if count > 1:
-        busy, count = busy[:-1], count - 1  # the last window is cut off by the log's end
+    last = int(places[-1])
+    windows = np.unique(np.concatenate((places - 1, places, places + 1)))  # a log may jump by years
+    busy = np.bincount(np.searchsorted(windows, places), weights=bits, minlength=len(windows))
+    whole = (windows >= 0) & (windows < max(last, 1))  # the last window is cut off by the log's end
+    middles = record.begin_ns + windows[whole] * LOAD_WINDOW_NS + LOAD_WINDOW_NS // 2
     per_window = BITRATE * LOAD_WINDOW_NS / 1e9
-    middles = record.begin_ns + np.arange(count, dtype=np.int64) * LOAD_WINDOW_NS + LOAD_WINDOW_NS // 2
-    return Series(middles, np.asarray(100.0 * busy / per_window, np.float64))
+    return Series(middles, np.asarray(100.0 * busy[whole] / per_window, np.float64))
 
 
 # ---------------------------------------------------------------- thinning out

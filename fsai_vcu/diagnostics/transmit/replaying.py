@@ -17,6 +17,7 @@ from fsai_vcu.runtime.bus import split_spec
 LAP_GAP_NS: Final = 10_000_000  # between the last frame and the first again: a cycle of the bus
 RETRY_NS: Final = 1_000_000  # a full transmit queue is tried again so soon …
 GIVE_UP_NS: Final = 1_000_000_000  # … for so long
+_LONGEST_SLEEP_S: Final = 3600.0  # a log may jump by a lifetime, and the system's sleep has an end
 _STAND_INS: Final = frozenset({"fsai_loopback", "virtual", "udp_multicast"})  # python-can's kinds without a wire
 _VIRTUAL_LINKS: Final = frozenset({"vcan", "vxcan"})
 
@@ -112,7 +113,7 @@ class Player:
             for since_ns, frame in ready:
                 due_ns = start_ns + round((lap_begin_ns + since_ns) / self._rate)
                 while (left_ns := due_ns - self._clock_ns()) > 0:
-                    self._sleep_s(left_ns / 1e9)
+                    self._sleep_s(min(left_ns / 1e9, _LONGEST_SLEEP_S))
                 self._one(frame, due_ns)
                 yield
             self.laps += 1
