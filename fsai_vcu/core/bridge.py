@@ -135,7 +135,8 @@ class Bridge:
                     self._on_intruder(frame)
                     return
                 self._on_revision(frame)
-        image, problems, handshake = self._codec.decode(frame)
+        decoded = self._codec.decode(frame)
+        image, problems, handshake = decoded.image, decoded.problems, decoded.handshake
         for problem in problems:
             tally.problem(problem)
         if handshake is not None:
