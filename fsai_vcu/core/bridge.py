@@ -479,6 +479,7 @@ class Bridge:
         stop = state.stop
         circumstances = Circumstances(
             phase,
+            bridge.asked,
             self._listening(now_ns),
             bridge.bus_lost,
             bridge.stopped,

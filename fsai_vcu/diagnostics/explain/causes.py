@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.start_conditions import WORDS
 from fsai_vcu.interface.enums import ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES
 
@@ -68,6 +69,43 @@ _REMEDIES: Final = {
     Reason.AS_STATE_UNKNOWN: (
         "compare the VCU's interface revision with the database; look for a second sender of 0x520"
     ),
+}
+
+# What to do about a condition that is not met between power-up and driving; and what to record where that helps
+_STARTING: Final[Mapping[str, tuple[str, ...]]] = {
+    "no_ai_data": ("start the bridge on this bus (2021: AIMS on), and check its CAN plug",),
+    "ai_data_incomplete": ("send all five of 0x510 to 0x514 every 10 ms: the VCU waits for valid data",),
+    "link_lost": ("see the handshake and gaps above; fsai-vcu check LOG measures them",),
+    "asms": ("turn ASMS on",),
+    "tsms": ("turn TSMS on",),
+    "ts_not_running": ("check TSMS, the shutdown circuit (E-stops, dongle, remote) and the battery",),
+    "ebs_not_armed": (
+        "check the shutdown circuit (E-stops, dongle, remote) and the EBS air pressure; ASMS must be on",
+    ),
+    "no_mission": ("choose the mission on the display",),
+    "status_not_selected": (
+        "fsai-vcu status says what it waits for; fsai-vcu mode autonomous",
+        "fsai-vcu status beside the log",
+    ),
+    "status_running": ("send SELECTED in AS_OFF and AS_READY, and RUNNING only once AS_DRIVING is seen",),
+    "status_finished": ("reset the mission state in AS_OFF and say SELECTED",),
+    "estop_latched": ("clear it by /reset in AS_OFF, after its cause is gone",),
+    "power_cycle": (
+        "ASMS, TSMS and LVMS off, and on again: 2026 cars need it after every mission, all after an emergency brake",
+    ),
+    "fault": (_SEE_FAULT,),
+    "op_fault": ("look at the other faults that 0x520 names; TSMS and LVMS off and on again",),
+    "shutting_down": ("TSMS was turned off: let it shut down, then LVMS off and on",),
+    "steering_inactive": ("check that ASMS is on and the tractive system runs; then the steering controller's fault",),
+    "brakes_not_ready": ("check the brake controller; power-cycle",),
+    "go_held": ("Go off and on again",),
+    "torque_requested": ("send zero torque in 0x511 and 0x512 until AS_DRIVING",),
+    "steering_requested": ("send STEER_REQUEST 0 until AS_DRIVING",),
+    "steering_turned": ("straighten the wheels; check the angle sensor",),
+    "direction_not_neutral": ("send NEUTRAL until AS_DRIVING, then FORWARD",),
+    "ready_not_selected": ("send SELECTED until AS_DRIVING is seen",),
+    "vcu_unheard": ("LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)",),
+    "braked": (f"put its cause right, then {_CAR_RESTART}",),
 }
 
 _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
@@ -128,7 +166,7 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         f"nothing is broken: leave TSMS on until ASMS is off; {_CAR_RESTART}",
     ),
     "go_off": (
-        "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING",
+        WORDS["go_off"],
         "leave Go on for the whole run; if nobody touched it, check the remote's battery, range and receiver",
         "0x181 (RES_TPDO): the remote's switches and RADIO_STRENGTH",
     ),
@@ -184,7 +222,7 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         "the VCU's own log",
     ),
     "status_frozen": (
-        "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen",
+        WORDS["status_frozen"],
         "have the VCU's software looked at; look for a gateway or a replay that repeats old frames; where it"
         " has been so from the first frame on, see whether the VCU hears the AI computer (its CAN plug)",
         "the VCU's own log",
@@ -237,80 +275,11 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         "switch off in the order ASMS, TSMS, LVMS, after the car has stopped",
     ),
     # Between power-up and driving
-    "no_ai_data": (
-        "no message of the AI computer has come: tractive system and EBS wait for it",
-        "start the bridge on this bus (2021: AIMS on), and check its CAN plug",
-    ),
-    "ai_data_incomplete": (
-        "not all five messages of the AI computer come",
-        "send all five of 0x510 to 0x514 every 10 ms: the VCU waits for valid data",
-    ),
-    "link_lost": (
-        "AI_COMMS_LOST: the AI computer's messages or echo are missing",
-        "see the handshake and gaps above; fsai-vcu check LOG measures them",
-    ),
-    "asms": ("ASMS is off (AS_SWITCH_STATUS 0)", "turn ASMS on"),
-    "tsms": ("TSMS is off (TS_SWITCH_STATUS 0)", "turn TSMS on"),
-    "ts_not_running": (
-        "the tractive system does not run",
-        "check TSMS, the shutdown circuit (E-stops, dongle, remote) and the battery",
-    ),
-    "ebs_not_armed": (
-        "EBS is not armed",
-        "check the shutdown circuit (E-stops, dongle, remote) and the EBS air pressure; ASMS must be on",
-    ),
-    "no_mission": ("no mission is chosen on the AMI", "choose the mission on the display"),
-    "status_not_selected": (
-        "the AI computer says MISSION_STATUS NOT_SELECTED: it is in manual mode, or planner"
-        " and controller have not confirmed their reset",
-        "fsai-vcu status says what it waits for; fsai-vcu mode autonomous",
-        "fsai-vcu status beside the log",
-    ),
-    "status_running": (
-        "the AI computer says RUNNING too early: the VCU waits for SELECTED",
-        "send SELECTED in AS_OFF and AS_READY, and RUNNING only once AS_DRIVING is seen",
-    ),
-    "status_finished": (
-        "the AI computer still says FINISHED from the run before: the VCU waits for SELECTED",
-        "reset the mission state in AS_OFF and say SELECTED",
-    ),
-    "estop_latched": (
-        "the AI computer requests an emergency stop (ESTOP_REQUEST 1)",
-        "clear it by /reset in AS_OFF, after its cause is gone",
-    ),
-    "power_cycle": (
-        "the car has not been switched off since its last run",
-        "ASMS, TSMS and LVMS off, and on again: 2026 cars need it after every mission, all after an emergency brake",
-    ),
-    "fault": ("the car reports a fault (FAULT_STATUS 1)", _SEE_FAULT),
-    "shutting_down": (
-        "the car asks for shutdown (SHUTDOWN_REQUEST)",
-        "TSMS was turned off: let it shut down, then LVMS off and on",
-    ),
-    "steering_inactive": (
-        "the steering is not active (STEERING_STATUS 0)",
-        "check that ASMS is on and the tractive system runs; then the steering controller's fault",
-    ),
-    "brakes_not_ready": ("the brakes are not ready (STATUS_BRK)", "check the brake controller; power-cycle"),
+    **{slug: (WORDS[slug], *rest) for slug, rest in _STARTING.items()},
+    "no_go": ("Go was not given", "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)"),
     "go_too_early": (
         "Go came before 5 s in AS_READY had passed",
         "Go off, wait until the ASSI shows yellow and blue, Go on again",
-    ),
-    "go_held": ("Go was on already: only a rising edge counts", "Go off and on again"),
-    "no_go": ("Go was not given", "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)"),
-    "torque_requested": (
-        "axle torque is requested in AS_READY",
-        "send zero torque in 0x511 and 0x512 until AS_DRIVING",
-    ),
-    "steering_requested": ("steering is requested in AS_READY", "send STEER_REQUEST 0 until AS_DRIVING"),
-    "steering_turned": ("the steering is measured at 5 deg or more", "straighten the wheels; check the angle sensor"),
-    "direction_not_neutral": (
-        "DIRECTION_REQUEST is not NEUTRAL in AS_READY",
-        "send NEUTRAL until AS_DRIVING, then FORWARD",
-    ),
-    "ready_not_selected": (
-        "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start so",
-        "send SELECTED until AS_DRIVING is seen",
     ),
     "given_up": ("ASMS was turned off in AS_READY: the start was given up", "turn ASMS on to start anew"),
     "start_unknown": (
@@ -318,6 +287,11 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
         "look at the display and the ASSI; EBS test and shutdown circuit are not all on the bus",
         "0x120 (2021), 0x181, 0x301 and 0x302 (2026), from power-up on",
     ),
+    "status_length": (
+        "0x520 has the wrong length: it counts as missing",
+        "compare the VCU's interface revision with the database",
+    ),
+    "no_as_state": ("the database has no AS_STATE in 0x520", "use the car's own (no --dbc), or --revision"),
     # In a drive that goes on
     "torque_not_given": (
         "the motors do not give the torque that is asked for",

@@ -30,7 +30,7 @@ from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 Values = npt.NDArray[np.float64]
 
@@ -39,13 +39,6 @@ DEAD_SHARE: Final = 0.8
 _own_databases: Final = cache(load_databases)
 _AT_ONCE: Final = 1000  # spans
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
-
-
-def ms(length_ns: int) -> str:
-    """A length of time as people read it."""
-    if length_ns < S:
-        return f"{length_ns / MS:.0f} ms" if length_ns >= 10 * MS else f"{length_ns / MS:.1f} ms"
-    return f"{length_ns / S:.2f} s"
 
 
 class Span(NamedTuple):
@@ -284,8 +277,8 @@ class Record:
     def series(self, signal: Signal) -> Series:
         """A signal in physical units; empty if the log or the database does not have it."""
         if signal not in self._series:
-            absent = signal in sig.ONLY_2026 and self.revision.name == "2021"
-            self._series[signal] = NOTHING if absent else self._read(signal)
+            silent = signal.name in self.revision.says_nothing
+            self._series[signal] = NOTHING if silent else self._read(signal)
         return self._series[signal]
 
     def _read(self, signal: Signal) -> Series:

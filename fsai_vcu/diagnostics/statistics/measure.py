@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import structs
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.error_frames import error_words
@@ -28,6 +29,7 @@ from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
 from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.values import Value
 
 BITRATE: Final = 500_000  # interface specification v4.0: 500 kbit/s
 NEVER_NS: Final = np.iinfo(np.int64).max
@@ -60,7 +62,7 @@ _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor 
 
 
 def as_json(value: Any, digits: int) -> Any:
-    """Dataclasses, tuples, words and bytes as JSON types; numbers with so many decimals, None where not finite."""
+    """Values, tuples, words and bytes as JSON types; numbers with so many decimals, None where not finite."""
     if isinstance(value, float):
         return round(value, digits) if math.isfinite(value) else None
     if isinstance(value, Enum):
@@ -71,6 +73,8 @@ def as_json(value: Any, digits: int) -> Any:
         return {name: as_json(each, digits) for name, each in value.items()}
     if isinstance(value, list | tuple):
         return [as_json(each, digits) for each in value]
+    if isinstance(value, Value):
+        return as_json(structs.asdict(value), digits)
     return as_json(asdict(value), digits) if is_dataclass(value) else value  # type: ignore[arg-type]
 
 

@@ -23,7 +23,7 @@ from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.endings import REBOOT_NS
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
 from fsai_vcu.diagnostics.explain.incident import ALWAYS, TimeRange, within
-from fsai_vcu.diagnostics.explain.record import Record, ms
+from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
     AS_STATE,
@@ -49,7 +49,7 @@ from fsai_vcu.diagnostics.verdict.ai_side import mistakes
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 OFF: Final = float(AsState.AS_OFF)
 NEARLY_FULL: Final = 65_000  # a counter of 16 bits goes on at 0
