@@ -13,7 +13,7 @@ from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.supervision.config import official_simulator
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import words_of
-from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS, Moment
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS, Moment, unmet
 from fsai_vcu.core.supervision.start_conditions import why_not_driving as shown_by_the_bus
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState
 from fsai_vcu.interface.enums import (
@@ -364,7 +364,8 @@ def shown(
         **(vehicle or {}),
     }
     command = replace(WELL_SAID.get(as_state, AiCommand()), **(said or {}))
-    found = shown_by_the_bus(Moment(VehicleState(**seen), **{"command": command, "waited_ns": 5 * S, **moment}))
+    found = list(shown_by_the_bus(Moment(VehicleState(**seen), **{"command": command, "waited_ns": 5 * S, **moment})))
+    assert {one.remedy for one in found} <= {""}, "what to do is looked up by who asks"
     return [(one.slug, one.sentence, one.follows) for one in found]
 
 
@@ -446,8 +447,18 @@ OTHERWISE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "go_off": ({"status": {"go_signal": False}}, "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING"),
     **{
-        slug: ({"history": {slug: "as the frames before show"}}, f"{WORDS[slug]} (as the frames before show)")
-        for slug in ("status_frozen", "no_ai_data", "ai_data_incomplete", "power_cycle", "ready_not_selected")
+        slug: ({"history": {slug: "as the frames before show"}}, f"{words} (as the frames before show)")
+        for slug, words in {
+            "status_frozen": (
+                "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen"
+            ),
+            "no_ai_data": "no message of the AI computer has come: tractive system and EBS wait for it",
+            "ai_data_incomplete": "not all five messages of the AI computer come",
+            "power_cycle": "the car has not been switched off since its last run",
+            "ready_not_selected": (
+                "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start so"
+            ),
+        }.items()
     },
 }
 HINTS = {"steering_inactive", "brakes_not_ready"}
@@ -529,6 +540,38 @@ def test_what_waits_for_another_condition_follows_it(condition: Any) -> None:
         found = {slug: follows for slug, _, follows in shown(state, **both)}
         assert (found[other], found[condition.slug]) == (False, True)
         assert next(iter(found)) == other
+
+
+def test_what_must_be_put_right_before_a_condition() -> None:
+    link = {"no_ai_data", "ai_data_incomplete", "link_lost"}
+    power = {*link, "tsms", "power_cycle", "fault", "shutting_down"}
+    assert {one.slug: set(one.after) for one in CONDITIONS if one.after} == {
+        "shutting_down": {"tsms"},
+        "link_lost": {"no_ai_data", "ai_data_incomplete"},
+        "fault": link,
+        "op_fault": {"fault"},
+        "estop_latched": {"no_ai_data"},
+        "status_not_selected": {"no_ai_data", "no_mission", "estop_latched"},
+        "status_running": {"no_ai_data"},
+        "status_finished": {"no_ai_data"},
+        "ts_not_running": power,
+        "ebs_not_armed": {*power, "asms", "ts_not_running"},
+    }
+
+
+def test_the_field_that_shows_a_condition_is_told() -> None:
+    sources = {"asms": "status.as_switch", "ebs_not_armed": "status.ebs_state", "no_ai_data": "", "power_cycle": ""}
+    status = replace(WELL, as_state=AsState.AS_OFF, as_switch=False, ebs_state=EbsState.EBS_INIT)
+    history = {"no_ai_data": "none came", "power_cycle": "a run ended"}
+    rows = unmet(Moment(VehicleState(status=status), history=history), AsState.AS_OFF)
+    assert {condition.slug: source for condition, source, _, _ in rows} == sources
+
+
+def test_faults_are_named_with_fault_status_alone() -> None:
+    faults = {"faults": Faults(bms=True), "ebs_state": EbsState.EBS_INIT}
+    assert shown(AsState.AS_OFF, status=faults) == [
+        ("ebs_not_armed", "EBS is not armed (EBS_STATE is EBS_INIT)", False)
+    ]
 
 
 def test_rear_torque_counts_as_front_torque_does() -> None:

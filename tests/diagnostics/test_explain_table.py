@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from fsai_hil.simulator.as_machine import ROWS, Row
@@ -10,6 +12,7 @@ from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
 from fsai_vcu.diagnostics.explain.signals import FAULTS
+from fsai_vcu.diagnostics.remedies import REMEDIES, remedy_of
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES
 
@@ -94,6 +97,24 @@ def test_every_condition_of_a_start_is_looked_for() -> None:
 def test_conditions_wait_only_for_conditions_that_there_are() -> None:
     slugs = {condition.slug for condition in CONDITIONS}
     assert set().union(*(condition.after for condition in CONDITIONS)) <= slugs <= set(CAUSES)
+
+
+def test_every_cause_and_condition_has_a_remedy_in_the_table() -> None:
+    assert {cause.slug for cause in CAUSES.values()} <= set(REMEDIES)
+    assert all(REMEDIES[slug] for slug in CAUSES)
+
+
+OURS = re.compile(
+    r"fsai-bridge|/reset|fsai-vcu (mode|status)|vcu_bridge|the bridge|the software|this software|service_brake"
+)
+
+
+@pytest.mark.parametrize("slug", REMEDIES)
+def test_of_another_program_no_remedy_names_this_softwares_parts(slug: str) -> None:
+    theirs, ours = remedy_of(slug, theirs=True), remedy_of(slug)
+    assert not OURS.search(theirs)
+    assert theirs == ours or "your AI computer" in theirs
+    assert theirs == ours or OURS.search(ours) or "AI computer" in ours or "planner" in ours or "processor" in ours
 
 
 def test_a_condition_has_the_same_words_whoever_names_it() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from copy import deepcopy
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from story_runs import Act, Run, driving, log_of, off, parked, ready
 
@@ -23,6 +24,7 @@ from fsai_vcu.diagnostics.monitor.snapshot import Picture
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.pitwall.board import state_of
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.reserved import AI_IDS
 
 HISTORY = {condition.slug for condition in CONDITIONS if not condition.sources}
 CHUNK_NS = 250_000_000
@@ -141,6 +143,30 @@ def test_everybody_answers_in_the_same_words(begin: Callable[[], Run], act: Act,
     assert told(monitor) == bridge
     assert [one["text"] for one in state_of(picture)["why_not_driving"]] == monitor
     assert all(f"  - {sentence}\n" in on_the_screen(report) + "\n" for sentence in bridge)
+
+
+def last_first(frames: Frames) -> Frames:
+    """The same of a program that sends 0x514 first and 0x510 last."""
+    of_ai = np.flatnonzero(np.isin(frames.can_id, AI_IDS))
+    cycles = of_ai[: len(of_ai) // len(AI_IDS) * len(AI_IDS)].reshape(-1, len(AI_IDS))
+    rows = np.arange(len(frames))
+    rows[cycles] = cycles[:, ::-1]
+    return frames.only(rows).at(frames.t_ns)
+
+
+def test_of_another_program_a_remedy_speaks_of_your_ai_computer() -> None:
+    run = Run(deepcopy(off().lockstep))
+    manual(run)
+    run.go_on(5.2)
+    ours = joined([log_of(off().frames), log_of(run.frames)])
+    theirs = last_first(ours)
+    for frames, other in ((ours, False), (theirs, True)):
+        assert Record(frames).ai_is_theirs is other
+        (first, *_), *_ = [one.candidates for one in explained(Record(frames)).incidents]
+        named = [one.remedy for one in watched(run, frames).why_not_driving if one.slug == first.slug]
+        assert named == [first.cause.remedy]
+        assert ("your AI computer" in first.cause.remedy) is other
+        assert ("fsai-vcu mode autonomous" in first.cause.remedy) is not other
 
 
 @pytest.mark.parametrize(

@@ -82,8 +82,8 @@ def _moment(
     if state.status_ns is None:
         return Moment(VehicleState())
     silent_ns = now_ns - state.status_ns if vcu_lost(config, state, now_ns) else None
-    waited_ns = 0 if state.ready_since_ns is None else now_ns - state.ready_since_ns
-    return Moment(vehicle, now.command, silent_ns, waited_ns)
+    ready_ns = now_ns if state.ready_since_ns is None else state.ready_since_ns
+    return Moment(vehicle, now.command, silent_ns, now_ns - ready_ns)
 
 
 def _held(config: BridgeConfig, state: SupervisorState, now_ns: int) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter, not_
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from msgspec import field
 
@@ -92,11 +92,12 @@ class Condition(Value, frozen=True):
         """While the condition is not met: the field that shows it (none of history), and its value in words."""
         if not self.sources:
             return ("", moment.history[self.slug]) if self.slug in moment.history else None
-        known = ((source, _value(moment, source)) for source in self.sources)
-        source, value = next((each for each in known if each[1] is not None), ("", None))
-        if value is None or self.wanted(value):
-            return None
-        return source, f"{SIGNAL_OF[source]} is {_label(value)}{_named_faults(moment, source)}"
+        for source in self.sources:
+            value = _value(moment, source)
+            if value is not None:
+                shown = f"{SIGNAL_OF[source]} is {_label(value)}"
+                return None if self.wanted(value) else (source, shown + _more(moment, source))
+        return None
 
 
 def _value(moment: Moment, source: str) -> Any:
@@ -125,9 +126,9 @@ def fault_names(status: VcuStatus) -> tuple[str, ...]:
     return names
 
 
-def _named_faults(moment: Moment, source: str) -> str:
-    status = moment.vehicle.status
-    names = () if status is None or source != "status.fault" else fault_names(status)
+def _more(moment: Moment, source: str) -> str:
+    """What 0x520 names beside FAULT_STATUS."""
+    names = fault_names(cast(VcuStatus, moment.vehicle.status)) if source == "status.fault" else ()
     return f": {', '.join(names)}" if names else ""
 
 

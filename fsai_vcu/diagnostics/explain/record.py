@@ -38,6 +38,7 @@ DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 _own_databases: Final = cache(load_databases)
 _AT_ONCE: Final = 1000  # spans
+_ENOUGH_OF_AI: Final = 250  # frames: half a second
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
 
@@ -261,6 +262,21 @@ class Record:
     def ai_speaks(self) -> bool:
         """Whether the log has any whole message of the AI computer."""
         return any(map(self.has, AI_IDS))
+
+    @cached_property
+    def ai_is_theirs(self) -> bool:
+        """Whether another program than this software's bridge drives: it sends in another order, or in another rhythm.
+
+        The bridge sends 0x510 to 0x514 in the order of their ids, together, every 10 ms. Where two programs send, or
+        too little was heard, that is not told.
+        """
+        of_ai = np.isin(self.frames.can_id, AI_IDS)
+        ids, cycles = self.frames.can_id[of_ai].astype(np.int64), len(self.times(AI_IDS[0]))
+        if len(ids) < _ENOUGH_OF_AI or self.second_senders:
+            return False
+        turns = int((np.diff(ids) <= 0).sum()) + 1
+        period_ns = float(np.median(np.diff(self.times(AI_IDS[0])))) if cycles > 1 else 0.0
+        return not (0.9 <= turns / max(cycles, 1) <= 1.1 and 0.8 <= period_ns / PERIOD_NS <= 1.2)
 
     def times(self, can_id: int) -> Ints:
         """When that message came."""

@@ -31,6 +31,7 @@ from fsai_vcu.diagnostics.explain.incident import (
 )
 from fsai_vcu.diagnostics.explain.record import Record, Span
 from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, AsState, MissionStatus
 from fsai_vcu.interface.fields import Refuse, fields_of
@@ -305,30 +306,31 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
     """
     span = record.span_at(sig.AS_STATE, now_ns)
     if span is None and record.wrong_length.get(sig.STATUS):
-        yield _told(Obstacle("status_length", f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing"))
+        yield _told(
+            record, Obstacle("status_length", f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing")
+        )
         return
     if span is None and not record.lacks(sig.STATUS):
-        yield _told(Obstacle("no_as_state", "the database has no AS_STATE in 0x520"))
+        yield _told(record, Obstacle("no_as_state", "the database has no AS_STATE in 0x520"))
         return
     now = moment(record, now_ns)
     if span is not None and now.silent_ns is None and span.value == sig.EMERGENCY and emergency is not None:
-        yield from map(_of_cause, emergency.candidates[:1])
+        yield _of_cause(record, emergency.candidates[0])
         yield from (replace(obstacle, follows=True) for obstacle in bus_not_driving(now))
         return
     if span is not None and now.silent_ns is None and span.value == sig.DRIVING:
         stood = idle(record, span.begin_ns, now_ns)
         if stood is None:
             return
-        yield _told(Obstacle("not_driven", CAUSES["not_driven"].words, stood.words))
+        yield _told(record, Obstacle("not_driven", CAUSES["not_driven"].words, stood.words))
     for obstacle in bus_not_driving(now):
-        yield _told(obstacle, _named(obstacle.slug, record, now_ns))
+        yield _told(record, obstacle, _named(obstacle.slug, record, now_ns))
 
 
-def _of_cause(one: Candidate) -> Obstacle:
+def _of_cause(record: Record, one: Candidate) -> Obstacle:
     evidence = "" if one.sureness >= Sureness.SHOWN else one.sureness.words
-    return _told(Obstacle(one.slug, one.cause.words, evidence, one.sureness < Sureness.FITS))
+    return _told(record, Obstacle(one.slug, one.cause.words, evidence, one.sureness < Sureness.FITS))
 
 
-def _told(obstacle: Obstacle, slug: str = "") -> Obstacle:
-    known = CAUSES.get(slug or obstacle.slug)
-    return replace(obstacle, remedy=known.remedy) if known else obstacle
+def _told(record: Record, obstacle: Obstacle, slug: str = "") -> Obstacle:
+    return replace(obstacle, remedy=remedy_of(slug or obstacle.slug, theirs=record.ai_is_theirs))
