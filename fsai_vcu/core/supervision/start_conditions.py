@@ -7,6 +7,7 @@ What the bus does not show (the bridge's mode, whose confirmation it waits for) 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from operator import attrgetter, not_
 from typing import Any, Final, cast
 
@@ -95,16 +96,23 @@ class Condition(Value, frozen=True):
         for source in self.sources:
             value = _value(moment, source)
             if value is not None:
-                shown = f"{SIGNAL_OF[source]} is {_label(value)}"
-                return None if self.wanted(value) else (source, shown + _more(moment, source))
+                if self.wanted(value):
+                    return None
+                return source, f"{SIGNAL_OF[source]} is {_label(value)}{_more(moment, source)}"
         return None
 
 
 def _value(moment: Moment, source: str) -> Any:
     """A field of the vehicle or the command; None where its message was not heard."""
-    root, _, rest = source.partition(".")
+    root, read = _reader(source)
     image = moment.command if root == "command" else getattr(moment.vehicle, root)
-    return None if image is None else attrgetter(rest)(image)
+    return None if image is None else read(image)
+
+
+@cache
+def _reader(source: str) -> tuple[str, attrgetter[Any]]:
+    root, _, rest = source.partition(".")
+    return root, attrgetter(rest)
 
 
 def _label(value: Any) -> str:
