@@ -22,8 +22,8 @@ class Revision(NamedTuple):
     name: str
     dbc_files: tuple[str, ...]
     steer_limit_deg: float
-    source: str
-    power_cycle_after: frozenset[AsState]
+    source: str = ""
+    power_cycle_after: frozenset[AsState] = frozenset((AsState.EMERGENCY_BRAKE,))
     says_nothing: frozenset[str] = frozenset()
 
 
@@ -36,8 +36,7 @@ REVISIONS: Mapping[str, Revision] = MappingProxyType(
                 ("ads_dv_2021.dbc", "pcan_gps.dbc"),
                 21.0,
                 "interface specification v4.0, June 2021",
-                frozenset((AsState.EMERGENCY_BRAKE,)),
-                frozenset(("OP_STATE", "TS_STATE", "EBS_STATE")),
+                says_nothing=frozenset(("OP_STATE", "TS_STATE", "EBS_STATE")),
             ),
             Revision(
                 "2026",

@@ -50,13 +50,11 @@ class Slot:
     """A field together with the signal that fills it.
 
     `read` makes the field's value of a raw number, or raises Odd; `write` the raw number of a value, or raises
-    EncodeError. `place`: which of the class's fields it is; `unsaid`: what it is in a frame that has no such signal;
-    `ones`: as many as the signal has bits.
+    EncodeError. `place`: which of the class's fields it is; `ones`: as many as the signal has bits.
     """
 
     def __init__(self, field: Field, signal: Signal, message: str, place: int) -> None:
         self.field, self.signal, self.place = field, signal, place
-        self.unsaid = Refuse.FRAME if field.absent is None else field.default
         self.ones = (1 << signal.length) - 1
         self._what = f"{message}: {signal.name}"
         least = -(1 << signal.length - 1) if signal.is_signed else 0
@@ -81,6 +79,12 @@ class Slot:
             written = {member: int(member) for member in members if self._low <= member <= self._high}
             self.write = _Table({**written, **({None: 0} if field.nullable else {})}, self._no_choice).__getitem__
             self.read = _Table({int(member): member for member in members}, self._unknown).__getitem__
+
+    def read_if_said(self, raw: float | None) -> Any:
+        """As `read`, in a message that does not always carry the signal: its raw number is None then."""
+        if raw is not None:
+            return self.read(raw)
+        return Refuse.FRAME if self.field.absent is None else self.field.default
 
     def _unknown(self, raw: float) -> bool:
         if self.field.holds is bool:  # a flag of several bits
@@ -114,18 +118,23 @@ class Slot:
     def _number_writer(self) -> Callable[[Any], float]:
         low, high, offset, is_float = self._low, self._high, float(self.signal.offset), self.signal.is_float
         up, down = Fraction(str(self.signal.scale)).as_integer_ratio()
-        per_unit = down / up
+        per_unit, clamped = down / up, self._clamped
 
-        def write(value: Any) -> float:
+        def whole(value: Any) -> float:
             try:
-                if low <= value <= high:
-                    raw: float = (value - offset) * per_unit
-                    return raw if is_float else round(raw)
+                whole_number: int = round(value if low <= value <= high else clamped(value))
             except TypeError:
-                pass
-            return write(self._clamped(value))
+                raise self._refused(value) from None
+            return whole_number
 
-        return write
+        def scaled(value: Any) -> float:
+            try:
+                raw: float = ((value if low <= value <= high else clamped(value)) - offset) * per_unit
+            except TypeError:
+                raise self._refused(value) from None
+            return raw if is_float else round(raw)
+
+        return scaled if is_float or offset or per_unit != 1 else whole
 
     def _clamped(self, value: Any) -> Any:
         """A number beyond the range as it is sent: a logging field's, or one that is out by a float's rounding."""
