@@ -37,15 +37,19 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime", LEAN, FILES, PRINTABLE},
     f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
+    f"{DIAGNOSTICS}.finding": {"fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.remedies": set(),
+    f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "remedies", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.verdict": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
+    f"{DIAGNOSTICS}.verdict": {
+        f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "finding", "log", "remedies", "statistics")
+    }
     | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", PRINTABLE},
     f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
-    f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
+    f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "finding", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.recorder": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "export", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime", FILES},
@@ -57,7 +61,7 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.foxglove": {f"{DIAGNOSTICS}.serving"},
     f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report", "serving")}
     | {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.stack": {"fsai_vcu.core"},
+    f"{DIAGNOSTICS}.stack": {"fsai_vcu.core", f"{DIAGNOSTICS}.finding"},
     "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE, DIAGNOSTICS},
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, f"{DIAGNOSTICS}.explain"},
     "fsai_nodes.pitwall": {"fsai_nodes", "fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.monitor"},

@@ -6,11 +6,11 @@ import argparse
 import json
 import time
 from collections.abc import Collection
-from dataclasses import asdict
 from typing import Any
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.services import operator_node
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.stack import TOPICS, Ends, StackWatch
 from fsai_vcu.printable import printable
 
@@ -131,17 +131,21 @@ def watch(namespace: str, seconds: float, wait_s: float) -> StackWatch:
     return stack
 
 
+def _as_dict(finding: Finding) -> dict[str, str]:
+    return {"topic": finding.kind, "wrong": finding.words, "to_do": finding.remedy}
+
+
 def run(args: argparse.Namespace) -> int:
     check_numbers(args, seconds=0.0, wait=0.0)
     stack = watch(args.namespace, args.seconds, args.wait)
     wrong = list(stack.findings())
     rates = {topic: round(heard.rate_hz, 1) for topic, heard in stack.heard.items() if heard.count}
     if args.json:
-        print(json.dumps({"seconds": args.seconds, "rates_hz": rates, "wrong": [asdict(each) for each in wrong]}))
+        print(json.dumps({"seconds": args.seconds, "rates_hz": rates, "wrong": [_as_dict(each) for each in wrong]}))
     elif wrong:
         print(
             "\n".join(
-                f"/{printable(each.topic)}: {printable(each.wrong)}\n    {printable(each.to_do)}" for each in wrong
+                f"/{printable(each.kind)}: {printable(each.words)}\n    {printable(each.remedy)}" for each in wrong
             )
         )
     else:

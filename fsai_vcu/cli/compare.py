@@ -11,7 +11,8 @@ from typing import Final
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, judged
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import Signal
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding
+from fsai_vcu.diagnostics.finding import Finding
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics
 from fsai_vcu.diagnostics.verdict import Verdict
 from fsai_vcu.interface.errors import UserError
 
@@ -71,7 +72,7 @@ def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
     for finding in here.findings:
         known[kind_of(finding)] -= 1
         if finding.severity == "problem" and finding.kind not in TOLD and known[kind_of(finding)] < 0:
-            yield f"{here.moment(finding)}{finding.text}"
+            yield f"{here.moment(finding)}{finding.words}"
 
 
 def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:

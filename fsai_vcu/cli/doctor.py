@@ -13,10 +13,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.diagnostics.doctor.checks import Finding, examine
+from fsai_vcu.diagnostics.doctor.checks import examine
 from fsai_vcu.diagnostics.doctor.collect import collect, laptop
 from fsai_vcu.diagnostics.doctor.machine import Wanted
 from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
@@ -35,7 +36,7 @@ from fsai_vcu.runtime.configuration import (
 EXAMPLE = "fsai-vcu doctor; fsai-vcu doctor --wheels"
 
 INSTALLED = Path("/usr/lib/fsai/manifest")  # of the car's software
-_MARKS = {"right": "ok  ", "wrong": "WRONG", "note": "-   "}
+_MARKS = {"right": "ok  ", "problem": "WRONG", "note": "-   "}
 _PATIENCE_S = 60.0  # for a wheel to be turned
 
 
@@ -73,16 +74,21 @@ def run(args: argparse.Namespace) -> int:
     return _show(examine(collect(wanted, problems, codec, args.seconds)), as_json=args.json)
 
 
+def _as_dict(finding: Finding) -> dict[str, str]:
+    level = "wrong" if finding.severity == "problem" else finding.severity
+    return {"topic": finding.kind, "level": level, "words": finding.words, "todo": finding.remedy}
+
+
 def _show(findings: Sequence[Finding], *, as_json: bool) -> int:
-    wrong = sum(finding.level == "wrong" for finding in findings)
+    wrong = sum(finding.severity == "problem" for finding in findings)
     if as_json:
-        print(json.dumps({"wrong": wrong, "findings": [asdict(finding) for finding in findings]}))
+        print(json.dumps({"wrong": wrong, "findings": [_as_dict(finding) for finding in findings]}))
         return 1 if wrong else 0
-    width = max(len(finding.topic) for finding in findings)
+    width = max(len(finding.kind) for finding in findings)
     for finding in findings:
-        print(f"{_MARKS[finding.level]:<5} {finding.topic:<{width}}  {finding.words}")
-        if finding.todo:
-            print(f"{'':5} {'':<{width}}  -> {finding.todo}")
+        print(f"{_MARKS[finding.severity]:<5} {finding.kind:<{width}}  {finding.words}")
+        if finding.remedy:
+            print(f"{'':5} {'':<{width}}  -> {finding.remedy}")
     print("all is well" if not wrong else f"{wrong} wrong")
     return 1 if wrong else 0
 

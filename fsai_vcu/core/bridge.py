@@ -135,7 +135,8 @@ class Bridge:
                     self._on_intruder(frame)
                     return
                 self._on_revision(frame)
-        image, problems, handshake = self._codec.decode(frame)
+        decoded = self._codec.decode(frame)
+        image, problems, handshake = decoded.image, decoded.problems, decoded.handshake
         for problem in problems:
             tally.problem(problem)
         if handshake is not None:
@@ -478,6 +479,7 @@ class Bridge:
         stop = state.stop
         circumstances = Circumstances(
             phase,
+            bridge.asked,
             self._listening(now_ns),
             bridge.bus_lost,
             bridge.stopped,

@@ -35,7 +35,7 @@ Printing
 Measuring
     measure(frames, decoder, revision=…)       # statistics/measure.py: a BusStatistics for each channel: periods,
                                                   # gaps, load, handshake
-    judge(bus)                                    # what is not as it should be; verdict.judged has all of it
+    judge(bus)                                 # verdict/of_bus.py: what is not as it should be; verdict.judged has all
     wire_bits(frames)                           # statistics/wire_bits.py: exact length on the wire, stuff bits included
     quantile(ordered, share)                 # statistics/quantiles.py: one meaning of p50 and p99 everywhere
 

@@ -1,7 +1,7 @@
 """Finding and loading signal databases: our own, or an official file made fit for use.
 
 Official files of 2026 declare one-bit flags signed, so that a set bit would read -1: such signals become unsigned here.
-Names that differ and signals that are absent are the codec's business.
+Signals that are absent are the codec's business.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from __future__ import annotations
 import logging
 import re
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import fsai_vcu.lean_cantools  # noqa: F401  # isort: skip
 from cantools.database.can import Database, Message, Node
@@ -20,6 +21,8 @@ from fsai_vcu.files import DATABASE_BYTES, read_named
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
 
+_UNIT_SUFFIXES = ("_Nm", "_rpm", "_deg", "_kmh", "_pct")
+_NAME_LENGTH = 32  # longer names are cut by the tools that official files come from
 ENCODING = "cp1252"  # what the tools that write DBC files use
 
 # The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
@@ -134,6 +137,16 @@ def make_flags_unsigned(database: Database) -> None:
                     names = {abs(raw): str(name) for raw, name in signal.choices.items()}
                     signal.choices = OrderedDict((raw, NamedSignalValue(raw, name)) for raw, name in names.items())
     database.refresh()
+
+
+def find_named(things: Sequence[Any], name: str) -> Any:
+    """The message or signal that the interface calls `name`, by any spelling seen in official files, or None."""
+    bare = name
+    for suffix in _UNIT_SUFFIXES:
+        bare = bare.removesuffix(suffix)
+    by_name = {thing.name: thing for thing in things}
+    spellings = (name, name[:_NAME_LENGTH], bare, *(bare + suffix for suffix in _UNIT_SUFFIXES))
+    return next((by_name[spelling] for spelling in spellings if spelling in by_name), None)
 
 
 def _one_line(error: Exception) -> str:

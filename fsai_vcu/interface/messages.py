@@ -7,7 +7,7 @@ arriving can never look fresh. Signals which a revision or a database lacks are 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Final, get_args
+from typing import Annotated, Any, Final, get_args
 
 from msgspec import field
 
@@ -129,6 +129,16 @@ COMMAND_FIELDS: Final[Mapping[type[AiImage], Mapping[str, str]]] = {
     message: {one.name: one.command or one.name for one in fields_of(message)} for message in get_args(AiImage)
 }
 """For each message of the AI computer, in sending order: its fields and those of AiCommand."""
+
+
+def command_of(images: Mapping[type, AiImage]) -> AiCommand:
+    """One command out of the newest image of each of the five messages; those not received count as safe defaults."""
+    values: dict[str, Any] = {}
+    for image_type, names in COMMAND_FIELDS.items():
+        image = images.get(image_type)
+        if image is not None:
+            values.update({theirs: getattr(image, ours) for ours, theirs in names.items()})
+    return AiCommand(**values)
 
 
 # ---------------------------------------------------------------- VCU -> AI

@@ -8,27 +8,43 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.enums import AsState
 
 
 class Revision(NamedTuple):
     """One revision of the car's CAN interface.
 
     `dbc_files` are names in the project's DBC folder; `steer_limit_deg` is the most that STEER_REQUEST may ask for,
-    to either side (the live ANGLE_MAX may be lower).
+    to either side (the live ANGLE_MAX may be lower). `power_cycle_after`: the AS states at the end of a run after which
+    the car has to be switched off and on. `says_nothing`: signals whose bits mean nothing, whatever a database names.
     """
 
     name: str
     dbc_files: tuple[str, ...]
     steer_limit_deg: float
     source: str = ""
+    power_cycle_after: frozenset[AsState] = frozenset((AsState.EMERGENCY_BRAKE,))
+    says_nothing: frozenset[str] = frozenset()
 
 
 REVISIONS: Mapping[str, Revision] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Revision("2021", ("ads_dv_2021.dbc", "pcan_gps.dbc"), 21.0, "interface specification v4.0, June 2021"),
-            Revision("2026", ("ads_dv_2026.dbc", "pcan_gps.dbc"), 30.0, "signal databases of April to June 2026"),
+            Revision(
+                "2021",
+                ("ads_dv_2021.dbc", "pcan_gps.dbc"),
+                21.0,
+                "interface specification v4.0, June 2021",
+                says_nothing=frozenset(("OP_STATE", "TS_STATE", "EBS_STATE")),
+            ),
+            Revision(
+                "2026",
+                ("ads_dv_2026.dbc", "pcan_gps.dbc"),
+                30.0,
+                "signal databases of April to June 2026",
+                frozenset((AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED)),
+            ),
         )
     }
 )

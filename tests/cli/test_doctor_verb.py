@@ -71,7 +71,7 @@ CAN1 = replace(WANTED, interface="can1", configured_interface="can1")
 
 
 def wrong(machine: Machine) -> list[Finding]:
-    return [finding for finding in examine(machine) if finding.level == "wrong"]
+    return [finding for finding in examine(machine) if finding.severity == "problem"]
 
 
 def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
@@ -82,7 +82,7 @@ def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
         "configuration, limits, interface, bitrate, queue, driver, bus, revision, wheels, ROS 2, DDS, services, "
         "scheduling, memory, clock, disk, permissions, system"
     )
-    assert list(dict.fromkeys(finding.topic for finding in findings)) == topics.split(", ")
+    assert list(dict.fromkeys(finding.kind for finding in findings)) == topics.split(", ")
 
 
 @pytest.mark.parametrize(
@@ -130,9 +130,9 @@ def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
 )
 def test_what_is_wrong_is_reported_under_its_topic_with_a_remedy(machine: Machine, topic: str, words: str) -> None:
     found = wrong(machine)
-    assert [finding.topic for finding in found] == [topic]
+    assert [finding.kind for finding in found] == [topic]
     assert words in found[0].words
-    assert found[0].todo, "a wrong finding has a remedy"
+    assert found[0].remedy, "a wrong finding has a remedy"
 
 
 BENCH = replace(
@@ -171,7 +171,7 @@ def test_a_bus_without_hardware_or_services_is_nothing_wrong(machine: Machine) -
     ],
 )
 def test_advice_on_another_bus_names_the_command_to_move_to_it(machine: Machine) -> None:
-    assert any("sudo /usr/lib/fsai/settle " in finding.todo for finding in wrong(machine))
+    assert any("sudo /usr/lib/fsai/settle " in finding.remedy for finding in wrong(machine))
 
 
 LEFT = ("/dev/shm/fastrtps_0a", "/dev/shm/fastrtps_0a_el")
@@ -202,9 +202,9 @@ LEFT = ("/dev/shm/fastrtps_0a", "/dev/shm/fastrtps_0a_el")
 )
 def test_a_healthy_machine_with_one_peculiarity(machine: Machine, topic: str, level: str, words: str) -> None:
     assert wrong(machine) == []
-    (found,) = [finding for finding in examine(machine) if finding.topic == topic and words in finding.words]
-    assert found.level == level
-    assert found.todo == ("sudo rm -f /dev/shm/fastrtps_0a /dev/shm/fastrtps_0a_el" if machine.dds_leftovers else "")
+    (found,) = [finding for finding in examine(machine) if finding.kind == topic and words in finding.words]
+    assert found.severity == level
+    assert found.remedy == ("sudo rm -f /dev/shm/fastrtps_0a /dev/shm/fastrtps_0a_el" if machine.dds_leftovers else "")
 
 
 # ---------------------------------------------------------------- the commissioning check
@@ -334,18 +334,18 @@ LAPTOP = Machine(car_pc=False, user="ada", ros=WELL.ros)
         (replace(LAPTOP, kernel_has_vcan=True), "bus", "note", "no vcan0 yet", "ip link add dev vcan0 type vcan"),
         (replace(LAPTOP, vcan="vcan0"), "bus", "right", "vcan0 is up", ""),
         (replace(LAPTOP, domain_id="7"), "DDS", "right", "domain 7, on the loopback", ""),
-        (replace(LAPTOP, domain_id="233"), "DDS", "wrong", "ROS_DOMAIN_ID is 233", "up to 101"),
-        (replace(LAPTOP, domain_id="lab"), "DDS", "wrong", "ROS_DOMAIN_ID is lab", "unset it"),
+        (replace(LAPTOP, domain_id="233"), "DDS", "problem", "ROS_DOMAIN_ID is 233", "up to 101"),
+        (replace(LAPTOP, domain_id="lab"), "DDS", "problem", "ROS_DOMAIN_ID is lab", "unset it"),
         (replace(LAPTOP, transport="transport: UDP, on every network"), "DDS", "note", "every network", "unset"),
         (replace(LAPTOP, dds_leftovers=("/dev/shm/fastrtps_1",)), "DDS", "note", "1 file in /dev/shm", "rm -f /dev"),
         (LAPTOP, "scheduling", "note", "ada's programs may not be real-time", "ada - rtprio 60"),
         (replace(LAPTOP, may_be_real_time=True), "scheduling", "right", "may be real-time", ""),
-        (replace(LAPTOP, ros=Ros()), "ROS 2", "wrong", "rclpy is not", "make setup"),
+        (replace(LAPTOP, ros=Ros()), "ROS 2", "problem", "rclpy is not", "make setup"),
     ],
 )
 def test_a_laptop_is_told_what_it_lacks(machine: Machine, topic: str, level: str, words: str, todo: str) -> None:
-    found = [each for each in examine(machine) if each.topic == topic and words in each.words]
-    assert len(found) == 1 and found[0].level == level and todo in found[0].todo
+    found = [each for each in examine(machine) if each.kind == topic and words in each.words]
+    assert len(found) == 1 and found[0].severity == level and todo in found[0].remedy
 
 
 def test_a_laptop_is_not_asked_for_what_a_car_pc_has(

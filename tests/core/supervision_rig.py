@@ -12,7 +12,7 @@ from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeReport
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.codec import Codec, command_of
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -35,6 +35,7 @@ from fsai_vcu.interface.messages import (
     VcuSteer,
     WheelCounts,
     WheelSpeeds,
+    command_of,
 )
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision

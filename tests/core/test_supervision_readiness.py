@@ -12,19 +12,25 @@ from supervision_rig import WELL, Rig, driven
 from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.supervision.config import official_simulator
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
+from fsai_vcu.core.supervision.reasons import words_of
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS, Moment, unmet
+from fsai_vcu.core.supervision.start_conditions import why_not_driving as shown_by_the_bus
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState
 from fsai_vcu.interface.enums import (
+    OFF_LIKE,
     Ami,
     AsState,
     BrakeStatus,
+    Direction,
     EbsState,
     EbsStatus,
+    MissionStatus,
     OpState,
     ShutdownCause,
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.messages import Faults, VcuBrake, VcuSteer, VehicleState
+from fsai_vcu.interface.messages import AiCommand, Faults, VcuBrake, VcuSteer, VehicleState
 from fsai_vcu.interface.units import MS, S
 
 # ---------------------------------------------------------------- what the bridge adds
@@ -116,6 +122,7 @@ def answer(
 
 
 GO = "waiting for Go"
+NOT_SELECTED = WORDS["status_not_selected"]
 
 
 def test_what_the_database_lacks_is_not_said_to_be_off() -> None:
@@ -140,7 +147,10 @@ def test_in_as_driving_the_rest_of_3_s_is_reported_first() -> None:
         (None, "standing still after AS_DRIVING: 3.0 s of 3 s left"),
     ):
         assert answer(AsState.AS_DRIVING, state={"driving_since_ns": since_ns}) == (held,)
-    assert answer(AsState.AS_DRIVING, status={"go_signal": False}) == ("Go is off (GO_SIGNAL 0)", NO_COMMAND)
+    assert answer(AsState.AS_DRIVING, status={"go_signal": False}) == (
+        "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING",
+        NO_COMMAND,
+    )
 
 
 def test_a_stop_and_an_emergency_say_all_about_the_torque() -> None:
@@ -166,7 +176,7 @@ def test_a_sequence_not_seen_is_named_in_as_ready_and_as_driving(as_state: AsSta
 
 
 def test_a_sequence_that_may_be_short_is_told_in_as_ready() -> None:
-    relaxed = "AS_DRIVING is accepted without these 5 s and an edge of Go (short_sequence_allowed)"
+    relaxed = "AS_DRIVING is accepted without the 5 s and an edge of Go (short_sequence_allowed)"
     assert relaxed in answer(AsState.AS_READY, config=official_simulator())
     assert relaxed not in answer(AsState.AS_READY)
     assert relaxed not in answer(AsState.AS_DRIVING, config=official_simulator())
@@ -175,18 +185,21 @@ def test_a_sequence_that_may_be_short_is_told_in_as_ready() -> None:
 def test_in_as_off_what_is_waited_for_depends_on_what_is_said() -> None:
     for as_state in (AsState.AS_INIT, AsState.AS_OFF):
         name = as_state.label
-        assert answer(as_state) == (f"waiting for AS_READY: the car is in {name}, SELECTED is being sent",)
-        assert answer(as_state, state={"sequence": Sequence.NONE}) == answer(as_state)
+        selected = Circumstances(Phase.READY, AiCommand(mission_status=MissionStatus.SELECTED))
+        waiting = f"waiting for AS_READY: the car is in {name}, and all that the bus shows is met"
+        assert answer(as_state, now=selected) == (waiting,)
+        assert answer(as_state, state={"sequence": Sequence.NONE}, now=selected) == (waiting,)
         assert answer(as_state, state={"mode": Mode.MANUAL}) == (
             "mode is manual: set autonomous in AS_INIT, AS_OFF or AS_READY",
-            f"the car is in {name}",
+            NOT_SELECTED,
         )
 
 
 def test_without_a_mission_nobody_is_asked_to_confirm() -> None:
-    assert answer(AsState.AS_OFF, state={"mission": Ami.NOT_SELECTED, "confirmed": frozenset()}) == (
-        "no mission is chosen on the AMI",
-        "the car is in AS_OFF",
+    none = {"mission": Ami.NOT_SELECTED, "confirmed": frozenset()}
+    assert answer(AsState.AS_OFF, status={"ami": Ami.NOT_SELECTED}, state=none) == (
+        "no mission is chosen on the AMI (AMI_STATE is NOT_SELECTED)",
+        NOT_SELECTED,
     )
     for mission in (ami for ami in Ami if ami is not Ami.NOT_SELECTED):
         assert answer(state={"mission": mission, "confirmed": frozenset({"planner"})}) == (
@@ -219,15 +232,15 @@ def test_what_0x520_lacks_is_named(status: dict[str, Any], words: str) -> None:
 
 
 def test_in_as_ready_a_go_that_is_on_must_go_off_again() -> None:
-    assert answer(status={"go_signal": True}) == ("Go is already on: it must go off and on again",)
+    assert answer(status={"go_signal": True}) == ("Go was on already: only a rising edge counts",)
 
 
 @pytest.mark.parametrize(
     ("angle_deg", "named"),
     [
         (4.9, ()),
-        (5.0, ("the steering is measured at 5.0 deg: under 5 deg is needed",)),
-        (-5.0, ("the steering is measured at -5.0 deg: under 5 deg is needed",)),
+        (5.0, ("the steering is measured at 5 deg or more (ANGLE is 5)",)),
+        (-5.0, ("the steering is measured at 5 deg or more (ANGLE is -5)",)),
     ],
 )
 def test_a_steering_that_stands_turned_is_named_from_5_deg_on(angle_deg: float, named: tuple[str, ...]) -> None:
@@ -237,8 +250,7 @@ def test_a_steering_that_stands_turned_is_named_from_5_deg_on(angle_deg: float, 
 def test_a_run_that_has_ended_is_said_to_have_ended() -> None:
     assert answer(AsState.AS_FINISHED) == ("the mission is finished (AS_FINISHED): ASMS off ends the run",)
     assert answer(EMERGENCY, status=BRAKED) == (
-        f"FAULT_STATUS is 1: {CAUSES}",
-        f"the car is in EMERGENCY_BRAKE: {CAUSES}: wait 15 s, ASMS off, then switch the car off and on",
+        f"EMERGENCY_BRAKE: wait 15 s, ASMS off, then switch the car off and on ({CAUSES})",
     )
 
 
@@ -251,7 +263,9 @@ def test_what_was_never_received_is_not_taken_for_received() -> None:
 
 def test_a_silence_is_named_from_100_ms_on() -> None:
     assert answer(state={"status_ns": NOW - 100 * MS + 1}) == (GO,)
-    assert answer(state={"status_ns": NOW - 100 * MS}) == ("0x520 is missing for 0.1 s", GO)
+    assert answer(state={"status_ns": NOW - 100 * MS}) == (
+        "0x520 is missing for 100 ms: the car is silent (its last AS state was AS_READY)",
+    )
 
 
 def test_the_driving_phase_is_driving_only_if_frames_go_out() -> None:
@@ -277,14 +291,19 @@ def test_a_process_that_was_stopped_does_not_say_that_it_listens() -> None:
 def test_every_fault_of_the_car_is_named_as_its_signal_is(attribute: str) -> None:
     signal = attribute.upper() if attribute.startswith("ai_") else f"{attribute.upper()}_FAULT"
     faults = Faults(**{attribute: True})
-    assert answer(status={"fault": True, "faults": faults}) == (f"FAULT_STATUS is 1: {signal}", GO)
+    lost = ("AI_COMMS_LOST: the AI computer's messages or echo are missing",) if signal == "AI_COMMS_LOST" else ()
+    assert answer(status={"fault": True, "faults": faults}) == (
+        *lost,
+        f"the car reports a fault (FAULT_STATUS is 1: {signal})",
+        GO,
+    )
 
 
 @pytest.mark.parametrize("cause", [None, *ShutdownCause])
 def test_the_cause_of_a_shutdown_is_named_if_there_is_one(cause: ShutdownCause | None) -> None:
     named = cause is not None and cause is not ShutdownCause.NO_SHUTDOWN
     assert answer(status={"fault": True, "shutdown_cause": cause}) == (
-        f"FAULT_STATUS is 1: SHUTDOWN_CAUSE {cause.label}" if named and cause is not None else "FAULT_STATUS is 1",
+        f"the car reports a fault (FAULT_STATUS is 1{f': SHUTDOWN_CAUSE {cause.label}' if named and cause else ''})",
         GO,
     )
 
@@ -293,26 +312,293 @@ def test_the_cause_of_a_shutdown_is_named_if_there_is_one(cause: ShutdownCause |
 def test_where_0x520_says_nothing_of_the_ebs_0x524_does(status: EbsStatus | None) -> None:
     brake = VcuBrake(brake_status=BrakeStatus.READY, ebs_status=status)
     told = status is not None and status is not EbsStatus.ARMED
-    unarmed = (f"EBS is not armed (STATUS_EBS {status.label})",) if told and status is not None else ()
+    unarmed = (f"EBS is not armed (STATUS_EBS is {status.label})",) if told and status is not None else ()
     assert answer(status={"ebs_state": None}, vehicle={"brake": brake}) == (*unarmed, GO)
     assert answer(vehicle={"brake": brake}) == (GO,)
 
 
 @pytest.mark.parametrize("status", [None, *BrakeStatus])
 def test_brakes_that_are_not_ready_are_named(status: BrakeStatus | None) -> None:
-    words = "an unknown value" if status is None else status.label
-    unready = () if status is BrakeStatus.READY else (f"the brakes are not ready (STATUS_BRK {words})",)
+    said = status is not None and status is not BrakeStatus.READY
+    unready = (f"the brakes are not ready (STATUS_BRK is {status.label})",) if said and status is not None else ()
     assert answer(vehicle={"brake": VcuBrake(brake_status=status, ebs_status=EbsStatus.ARMED)}) == (*unready, GO)
 
 
 @pytest.mark.parametrize("ts_state", [None, *TsState])
 def test_a_tractive_system_off_is_named_where_it_is_reported(ts_state: TsState | None) -> None:
     runs = ts_state in (None, TsState.TS_RUNNING)
-    stands = () if runs or ts_state is None else (f"the tractive system does not run ({ts_state.label})",)
+    stands = () if runs or ts_state is None else (f"the tractive system does not run (TS_STATE is {ts_state.label})",)
     assert answer(status={"ts_state": ts_state}) == (*stands, GO)
 
 
 @pytest.mark.parametrize("ebs_state", list(EbsState))
 def test_an_ebs_that_is_not_armed_is_named(ebs_state: EbsState) -> None:
-    unarmed = () if ebs_state is EbsState.EBS_ARMED else (f"EBS is not armed ({ebs_state.label})",)
+    unarmed = () if ebs_state is EbsState.EBS_ARMED else (f"EBS is not armed (EBS_STATE is {ebs_state.label})",)
     assert answer(status={"ebs_state": ebs_state}) == (*unarmed, GO)
+
+
+# ---------------------------------------------------------------- what the bus shows
+
+WELL_SAID: dict[AsState, AiCommand] = {
+    AsState.AS_INIT: AiCommand(mission_status=MissionStatus.SELECTED),
+    AsState.AS_OFF: AiCommand(mission_status=MissionStatus.SELECTED),
+    AsState.AS_READY: AiCommand(mission_status=MissionStatus.SELECTED),
+    AsState.AS_DRIVING: AiCommand(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD),
+}
+
+
+def shown(
+    as_state: AsState,
+    *,
+    status: dict[str, Any] | None = None,
+    said: dict[str, Any] | None = None,
+    vehicle: dict[str, Any] | None = None,
+    **moment: Any,
+) -> list[tuple[str, str, bool]]:
+    """Slug, sentence and whether it follows, of a car of which all is well but for what the test changes."""
+    go = as_state is AsState.AS_DRIVING
+    seen: dict[str, Any] = {
+        "status": replace(WELL, **{"as_state": as_state, "go_signal": go, **(status or {})}),
+        "brake": VcuBrake(brake_status=BrakeStatus.READY, ebs_status=EbsStatus.ARMED),
+        "steer": VcuSteer(0.0, 30.0, 0.0),
+        **(vehicle or {}),
+    }
+    command = replace(WELL_SAID.get(as_state, AiCommand()), **(said or {}))
+    found = list(shown_by_the_bus(Moment(VehicleState(**seen), **{"command": command, "waited_ns": 5 * S, **moment})))
+    assert {one.remedy for one in found} <= {""}, "what to do is looked up by who asks"
+    return [(one.slug, one.sentence, one.follows) for one in found]
+
+
+WAITS = {
+    AsState.AS_INIT: [
+        ("start_unknown", "waiting for AS_READY: the car is in AS_INIT, and all that the bus shows is met", False)
+    ],
+    AsState.AS_OFF: [
+        ("start_unknown", "waiting for AS_READY: the car is in AS_OFF, and all that the bus shows is met", False)
+    ],
+    AsState.AS_READY: [("no_go", GO, False)],
+    AsState.AS_DRIVING: [],
+}
+
+
+@pytest.mark.parametrize("as_state", WAITS)
+def test_a_car_that_is_well_waits_for_what_its_state_asks(as_state: AsState) -> None:
+    assert shown(as_state) == WAITS[as_state]
+    assert shown(as_state, command=None) == WAITS[as_state]
+
+
+LOST = "AI_COMMS_LOST: the AI computer's messages or echo are missing"
+OTHERWISE: dict[str, tuple[dict[str, Any], str]] = {
+    "torque_requested": (
+        {"said": {"front_torque_nm": 0.5}},
+        "axle torque is requested in AS_READY (FRONT_AXLE_TRQ_REQUEST is 0.5)",
+    ),
+    "steering_requested": (
+        {"said": {"steer_deg": -0.5}},
+        "steering is requested in AS_READY (STEER_REQUEST is -0.5)",
+    ),
+    "steering_turned": (
+        {"vehicle": {"steer": VcuSteer(-5.5, 30.0, 0.0)}},
+        "the steering is measured at 5 deg or more (ANGLE is -5.5)",
+    ),
+    "direction_not_neutral": (
+        {"said": {"direction": Direction.FORWARD}},
+        "DIRECTION_REQUEST is not NEUTRAL in AS_READY (DIRECTION_REQUEST is FORWARD)",
+    ),
+    "asms": ({"status": {"as_switch": False}}, "ASMS is off (AS_SWITCH_STATUS 0)"),
+    "tsms": ({"status": {"ts_switch": False}}, "TSMS is off (TS_SWITCH_STATUS 0)"),
+    "shutting_down": ({"status": {"shutdown_request": True}}, "the car asks for shutdown (SHUTDOWN_REQUEST)"),
+    "link_lost": ({"status": {"faults": Faults(ai_comms_lost=True)}}, LOST),
+    "fault": (
+        {"status": {"fault": True, "shutdown_cause": ShutdownCause.BMS_FAULT}},
+        "the car reports a fault (FAULT_STATUS is 1: SHUTDOWN_CAUSE BMS_FAULT)",
+    ),
+    "op_fault": ({"status": {"op_state": OpState.OP_FAULT}}, "OP_STATE is OP_FAULT"),
+    "estop_latched": (
+        {"said": {"estop_request": True}},
+        "the AI computer requests an emergency stop (ESTOP_REQUEST 1)",
+    ),
+    "no_mission": (
+        {"status": {"ami": Ami.NOT_SELECTED}},
+        "no mission is chosen on the AMI (AMI_STATE is NOT_SELECTED)",
+    ),
+    "status_not_selected": ({"said": {"mission_status": MissionStatus.NOT_SELECTED}}, WORDS["status_not_selected"]),
+    "status_running": (
+        {"said": {"mission_status": MissionStatus.RUNNING}},
+        "the AI computer says RUNNING too early: the VCU waits for SELECTED (MISSION_STATUS is RUNNING)",
+    ),
+    "status_finished": (
+        {"said": {"mission_status": MissionStatus.FINISHED}},
+        "the AI computer still says FINISHED from the run before: the VCU waits for SELECTED"
+        " (MISSION_STATUS is FINISHED)",
+    ),
+    "ts_not_running": (
+        {"status": {"ts_state": TsState.TS_PRECHARGE}},
+        "the tractive system does not run (TS_STATE is TS_PRECHARGE)",
+    ),
+    "ebs_not_armed": ({"status": {"ebs_state": EbsState.EBS_INIT}}, "EBS is not armed (EBS_STATE is EBS_INIT)"),
+    "steering_inactive": (
+        {"status": {"steering_status": SteeringStatus.OFF}},
+        "the steering is not active (STEERING_STATUS 0)",
+    ),
+    "brakes_not_ready": (
+        {"vehicle": {"brake": VcuBrake(brake_status=BrakeStatus.FAULT)}},
+        "the brakes are not ready (STATUS_BRK is FAULT)",
+    ),
+    "go_off": ({"status": {"go_signal": False}}, "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING"),
+    **{
+        slug: ({"history": {slug: "as the frames before show"}}, f"{words} (as the frames before show)")
+        for slug, words in {
+            "status_frozen": (
+                "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen"
+            ),
+            "no_ai_data": "no message of the AI computer has come: tractive system and EBS wait for it",
+            "ai_data_incomplete": "not all five messages of the AI computer come",
+            "power_cycle": "the car has not been switched off since its last run",
+            "ready_not_selected": (
+                "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start so"
+            ),
+        }.items()
+    },
+}
+HINTS = {"steering_inactive", "brakes_not_ready"}
+
+
+def test_each_condition_is_tried_alone() -> None:
+    assert set(OTHERWISE) == {condition.slug for condition in CONDITIONS}
+
+
+@pytest.mark.parametrize("as_state", WAITS)
+@pytest.mark.parametrize("slug", OTHERWISE)
+def test_a_condition_is_named_in_its_states_and_in_no_other(slug: str, as_state: AsState) -> None:
+    change, sentence = OTHERWISE[slug]
+    states = next(condition.states for condition in CONDITIONS if condition.slug == slug)
+    if slug == "go_off" and as_state is not AsState.AS_DRIVING:
+        return
+    found = shown(as_state, **change)
+    if as_state not in states:
+        assert found == WAITS[as_state]
+    else:
+        rest = [] if as_state in OFF_LIKE else WAITS[as_state]
+        assert found == [(slug, sentence, slug in HINTS), *rest]
+
+
+def test_in_which_states_a_condition_is_of_interest() -> None:
+    states = {condition.slug: condition.states for condition in CONDITIONS}
+    ready, driving = {AsState.AS_READY}, {AsState.AS_DRIVING}
+    named = {
+        "OFF": OFF_LIKE,
+        "READY": ready,
+        "DRIVING": driving,
+        "OFF, READY": OFF_LIKE | ready,
+        "READY, DRIVING": ready | driving,
+        "any": OFF_LIKE | ready | driving,
+    }
+    told = {name: {slug for slug, of in states.items() if of == group} for name, group in named.items()}
+    assert told == {
+        "OFF": {
+            "ai_data_incomplete",
+            "power_cycle",
+            "estop_latched",
+            "status_not_selected",
+            "status_running",
+            "status_finished",
+        },
+        "READY": {
+            "torque_requested",
+            "steering_requested",
+            "steering_turned",
+            "direction_not_neutral",
+            "ready_not_selected",
+        },
+        "DRIVING": {"go_off"},
+        "OFF, READY": {"status_frozen", "no_ai_data"},
+        "READY, DRIVING": HINTS,
+        "any": {
+            "asms",
+            "tsms",
+            "shutting_down",
+            "link_lost",
+            "fault",
+            "op_fault",
+            "no_mission",
+            "ts_not_running",
+            "ebs_not_armed",
+        },
+    }
+
+
+@pytest.mark.parametrize("condition", [one for one in CONDITIONS if one.after], ids=lambda one: one.slug)
+def test_what_waits_for_another_condition_follows_it(condition: Any) -> None:
+    for other in condition.after:
+        state = next(
+            (s for s in WAITS for c in CONDITIONS if c.slug == other and s in condition.states & c.states), None
+        )
+        assert state is not None, f"{condition.slug} never waits for {other}"
+        changes = [OTHERWISE[slug][0] for slug in (other, condition.slug)]
+        both = {key: {**changes[0].get(key, {}), **changes[1].get(key, {})} for key in {*changes[0], *changes[1]}}
+        found = {slug: follows for slug, _, follows in shown(state, **both)}
+        assert (found[other], found[condition.slug]) == (False, True)
+        assert next(iter(found)) == other
+
+
+def test_what_must_be_put_right_before_a_condition() -> None:
+    link = {"no_ai_data", "ai_data_incomplete", "link_lost"}
+    power = {*link, "tsms", "power_cycle", "fault", "shutting_down"}
+    assert {one.slug: set(one.after) for one in CONDITIONS if one.after} == {
+        "shutting_down": {"tsms"},
+        "link_lost": {"no_ai_data", "ai_data_incomplete"},
+        "fault": link,
+        "op_fault": {"fault"},
+        "estop_latched": {"no_ai_data"},
+        "status_not_selected": {"no_ai_data", "no_mission", "estop_latched"},
+        "status_running": {"no_ai_data"},
+        "status_finished": {"no_ai_data"},
+        "ts_not_running": power,
+        "ebs_not_armed": {*power, "asms", "ts_not_running"},
+    }
+
+
+def test_the_field_that_shows_a_condition_is_told() -> None:
+    sources = {"asms": "status.as_switch", "ebs_not_armed": "status.ebs_state", "no_ai_data": "", "power_cycle": ""}
+    status = replace(WELL, as_state=AsState.AS_OFF, as_switch=False, ebs_state=EbsState.EBS_INIT)
+    history = {"no_ai_data": "none came", "power_cycle": "a run ended"}
+    rows = unmet(Moment(VehicleState(status=status), history=history), AsState.AS_OFF)
+    assert {condition.slug: source for condition, source, _, _ in rows} == sources
+
+
+def test_faults_are_named_with_fault_status_alone() -> None:
+    faults = {"faults": Faults(bms=True), "ebs_state": EbsState.EBS_INIT}
+    assert shown(AsState.AS_OFF, status=faults) == [
+        ("ebs_not_armed", "EBS is not armed (EBS_STATE is EBS_INIT)", False)
+    ]
+
+
+def test_rear_torque_counts_as_front_torque_does() -> None:
+    assert shown(AsState.AS_READY, said={"rear_torque_nm": 1.0, "front_torque_nm": 2.0})[0][1] == (
+        "axle torque is requested in AS_READY (FRONT_AXLE_TRQ_REQUEST is 2)"
+    )
+    assert shown(AsState.AS_READY, said={"rear_torque_nm": 1.0})[0][1] == (
+        "axle torque is requested in AS_READY (REAR_AXLE_TRQ_REQUEST is 1)"
+    )
+
+
+def test_go_is_waited_for_after_the_5_s() -> None:
+    left = ("ready_wait", "waiting in AS_READY: 1.0 s of 5 s left", False)
+    assert shown(AsState.AS_READY, waited_ns=4 * S) == [left, ("no_go", GO, True)]
+    assert shown(AsState.AS_READY, waited_ns=None) == [("no_go", GO, False)]
+    held = ("go_held", "Go was on already: only a rising edge counts")
+    assert shown(AsState.AS_READY, status={"go_signal": True}) == [(*held, False)]
+    assert shown(AsState.AS_READY, status={"go_signal": True}, waited_ns=4 * S) == [left, (*held, True)]
+
+
+def test_of_a_status_that_nobody_knows_nothing_else_is_told() -> None:
+    words = words_of("as_state_unknown")
+    assert shown(AsState.AS_READY, vehicle={"status_known": False}) == [("as_state_unknown", words, False)]
+    assert shown(AsState.AS_READY, vehicle={"status": None, "status_known": False})[0][0] == "as_state_unknown"
+
+
+@pytest.mark.parametrize("as_state", list(AsState))
+def test_a_silent_car_is_told_with_its_last_state_alone(as_state: AsState) -> None:
+    words = f"0x520 is missing for 1.50 s: the car is silent (its last AS state was {as_state.label})"
+    assert shown(as_state, silent_ns=1500 * MS) == [("vcu_silent", words, False)]

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import fields, replace
 
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.supervision import supervisor
+from fsai_vcu.core.supervision import gate, plausibility, readiness, start_conditions, supervisor, wheel_speeds
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.supervision.reasons import Reason, words_of
 from fsai_vcu.core.supervision.supervisor import (
@@ -32,6 +32,7 @@ from fsai_vcu.core.supervision.supervisor import (
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.values import Value
 
 CONFIG = BridgeConfig()
 T0 = 1000 * S  # an arbitrary instant of the monotonic clock
@@ -1212,3 +1213,16 @@ def test_the_numbers_of_the_safety_rules_are_the_defaults() -> None:
         5,
         10,
     )
+
+
+def test_no_value_of_the_supervision_can_be_changed() -> None:
+    """Its state is shared by copies of a simulation, and by the search through all states."""
+    modules = (supervisor, gate, plausibility, readiness, start_conditions, wheel_speeds)
+    values = [
+        kind
+        for module in modules
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, Value) and kind.__module__ == module.__name__
+    ]
+    assert len(values) > 10
+    assert [kind for kind in values if not kind.__struct_config__.frozen] == []

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from fsai_hil.simulator.as_machine import ROWS, Row
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
 from fsai_vcu.diagnostics.explain.signals import FAULTS
-from fsai_vcu.diagnostics.explain.starting import TO_DRIVING, TO_READY
+from fsai_vcu.diagnostics.remedies import REMEDIES, remedy_of
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES
 
@@ -79,7 +82,7 @@ def test_every_transition_of_the_as_state_machine_has_its_causes(row: Row) -> No
 
 
 def test_every_condition_of_a_start_is_looked_for() -> None:
-    looked_for = {condition.slug for condition in (*TO_READY, *TO_DRIVING)}
+    looked_for = {condition.slug for condition in CONDITIONS} | {"go_too_early"}
     on_the_way = {
         (AsState.AS_INIT, AsState.AS_OFF),
         (AsState.AS_OFF, AsState.AS_READY),
@@ -92,11 +95,30 @@ def test_every_condition_of_a_start_is_looked_for() -> None:
 
 
 def test_conditions_wait_only_for_conditions_that_there_are() -> None:
-    for table in (TO_READY, TO_DRIVING):
-        slugs = [condition.slug for condition in table]
-        assert len(slugs) == len(set(slugs))
-        assert set().union(*(condition.after for condition in table)) <= set(slugs)
-        assert set(slugs) <= set(CAUSES)
+    slugs = {condition.slug for condition in CONDITIONS}
+    assert set().union(*(condition.after for condition in CONDITIONS)) <= slugs <= set(CAUSES)
+
+
+def test_every_cause_and_condition_has_a_remedy_in_the_table() -> None:
+    assert {cause.slug for cause in CAUSES.values()} <= set(REMEDIES)
+    assert all(REMEDIES[slug] for slug in CAUSES)
+
+
+OURS = re.compile(
+    r"fsai-bridge|/reset|fsai-vcu (mode|status)|vcu_bridge|the bridge|the software|this software|service_brake"
+)
+
+
+@pytest.mark.parametrize("slug", REMEDIES)
+def test_of_another_program_no_remedy_names_this_softwares_parts(slug: str) -> None:
+    theirs, ours = remedy_of(slug, theirs=True), remedy_of(slug)
+    assert not OURS.search(theirs)
+    assert theirs == ours or "your AI computer" in theirs
+    assert theirs == ours or OURS.search(ours) or "AI computer" in ours or "planner" in ours or "processor" in ours
+
+
+def test_a_condition_has_the_same_words_whoever_names_it() -> None:
+    assert {one.slug: CAUSES[one.slug].words for one in CONDITIONS} == {one.slug: one.words for one in CONDITIONS}
 
 
 def test_every_braking_reason_of_the_supervisor_has_its_words() -> None:

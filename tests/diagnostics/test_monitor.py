@@ -17,6 +17,7 @@ from rich.console import Console
 from story_runs import Ended, branch, driving, off, ready
 
 from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, message_row, overview
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, Picture, plain_line
@@ -125,7 +126,7 @@ def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_
 
 def test_an_emergency_brake_from_before_is_reported_as_such() -> None:
     picture = seen(every_cycle(0, S, (0x520, status(AsState.EMERGENCY_BRAKE)), *AI))
-    assert words(picture) == ["the car is in EMERGENCY_BRAKE, and was before this began to listen"]
+    assert words(picture) == ["EMERGENCY_BRAKE: wait 15 s, ASMS off, then switch the car off and on"]
 
 
 def test_in_as_off_unmet_conditions_are_in_order_of_remedy() -> None:
@@ -247,7 +248,9 @@ def test_faults_and_warnings_have_the_specifications_names() -> None:
     picture = seen(every_cycle(0, S, (0x520, status(AsState.AS_OFF, bits=bits)), *AI))
     assert (picture.faults, picture.shutdown_cause) == (("BMS_FAULT",), "BMS_FAULT")
     assert picture.warnings == ("WARN_BATT_SOC_LOW",)
-    assert "the battery management reports a fault (BMS_FAULT)" in words(picture)
+    told = {one.sentence: one.remedy for one in picture.why_not_driving}
+    fault = "the car reports a fault (FAULT_STATUS is 1: BMS_FAULT, SHUTDOWN_CAUSE BMS_FAULT)"
+    assert told[fault] == CAUSES["bms"].remedy
 
 
 # ---------------------------------------------------------------- memory

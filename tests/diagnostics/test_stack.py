@@ -47,7 +47,7 @@ def watched(message: Callable[[], SimpleNamespace] = command, period_s: float = 
 
 
 def wrong(watch: StackWatch) -> list[str]:
-    return [f"{each.topic}: {each.wrong}; {each.to_do}" for each in watch.findings()]
+    return [f"{each.kind}: {each.words}; {each.remedy}" for each in watch.findings()]
 
 
 def test_a_stack_in_order_has_nothing_wrong() -> None:

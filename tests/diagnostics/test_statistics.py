@@ -12,9 +12,11 @@ from story_runs import driving, log_of
 from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
+from fsai_vcu.diagnostics.verdict.of_bus import judge
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.reserved import AI_IDS
@@ -104,51 +106,51 @@ def test_a_silence_of_the_timeout_is_a_loss_a_shorter_one_a_note() -> None:
 
     found = only(without(100), "gap")
     assert (found.can_ids, found.t_ns) == ((0x523,), S)
-    assert "silent for 100.0 ms" in found.text
-    assert problems(without(99)) == [] or "silent for 100.0" in problems(without(99))[0].text
+    assert "silent for 100.0 ms" in found.words
+    assert problems(without(99)) == [] or "silent for 100.0" in problems(without(99))[0].words
     assert problems(without(90)) == []
     assert [f.kind for f in judge(measured(without(50))) if f.can_ids == (0x523,)] == ["gap"]
 
 
 def test_a_message_that_never_comes_is_missed() -> None:
     found = only([f for f in NOMINAL if f.can_id != 0x524], "missing")
-    assert found.text == "VCU2AI_Brake (0x524) was never received"
+    assert found.words == "VCU2AI_Brake (0x524) was never received"
 
 
 def test_a_message_at_the_wrong_rate_is_named_with_both_periods() -> None:
     frames = [f for f in NOMINAL if f.can_id != 0x521 or f.t_ns // (10 * MS) % 2]
     found = only(frames, "period")
-    assert "comes every 20.00 ms, but should every 10 ms" in found.text
+    assert "comes every 20.00 ms, but should every 10 ms" in found.words
 
 
 def test_a_frame_of_the_wrong_length_is_a_problem_with_its_count() -> None:
     spoilt = [replace(f, data=f.data[:-1], length=5) if f.can_id == 0x522 and f.t_ns < 50 * MS else f for f in NOMINAL]
     found = only(spoilt, "wrong-length")
-    assert found.text == "VCU2AI_Drive_R (0x522) must have 6 bytes: 5 of 5 bytes"
+    assert found.words == "VCU2AI_Drive_R (0x522) must have 6 bytes: 5 of 5 bytes"
     assert found.t_ns == next(f.t_ns for f in spoilt if f.can_id == 0x522)
 
 
 def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
     frames = sorted([*NOMINAL, LogFrame(5 * MS, "can0", 0x700, b"\x00", sent=True)], key=lambda f: f.t_ns)
     found = only(frames, "reserved")
-    assert "sent 1 times by this computer" in found.text and found.t_ns == 5 * MS
+    assert "sent 1 times by this computer" in found.words and found.t_ns == 5 * MS
 
 
 def test_a_remote_frame_is_a_problem_of_its_moment() -> None:
     asked = LogFrame(55 * MS, "can0", 0x513, remote=True, length=2)
     found = only(sorted([*NOMINAL, asked], key=lambda f: f.t_ns), "intruder")
-    assert "1 remote frames" in found.text and found.t_ns == 55 * MS
+    assert "1 remote frames" in found.words and found.t_ns == 55 * MS
 
 
 def test_an_unknown_id_is_noted_and_does_not_change_the_verdict() -> None:
     frames = [*NOMINAL, LogFrame(NOMINAL[-1].t_ns, "can0", 0x7A1, b"\x01")]
-    assert [f.text for f in judge(measured(frames)) if f.kind == "unknown"] == ["0x7A1 is in no database: 1 frames"]
+    assert [f.words for f in judge(measured(frames)) if f.kind == "unknown"] == ["0x7A1 is in no database: 1 frames"]
     assert not problems(frames)
 
 
 def test_error_frames_are_a_problem_in_words() -> None:
     errors = [LogFrame(NOMINAL[-1].t_ns, "can0", 0x040, bytes(8), error=True)] * 3
-    assert only([*NOMINAL, *errors], "error-frames").text == "3 error frames: bus-off"
+    assert only([*NOMINAL, *errors], "error-frames").words == "3 error frames: bus-off"
 
 
 def test_a_standing_pulse_counter_of_a_turning_wheel_is_frozen() -> None:
@@ -156,7 +158,7 @@ def test_a_standing_pulse_counter_of_a_turning_wheel_is_frozen() -> None:
         return replace(f, data=f.data[:4] + b"\x07\x00" + f.data[6:]) if f.can_id == 0x526 and f.t_ns > 1000 * MS else f
 
     found = only([stuck(f) for f in NOMINAL], "frozen")
-    assert "RL_PULSE_COUNT stood still for 2.0 s while its wheel turned" in found.text
+    assert "RL_PULSE_COUNT stood still for 2.0 s while its wheel turned" in found.words
     at_rest = [replace(stuck(f), data=bytes(8)) if f.can_id == 0x525 else stuck(f) for f in NOMINAL]
     assert problems(at_rest) == []
 
@@ -185,7 +187,7 @@ def test_an_echo_that_takes_100_ms_is_a_problem_and_99_is_not() -> None:
         return sorted(frames, key=lambda f: f.t_ns)
 
     found = only(late(100 * MS), "handshake")
-    assert "1 answered after 100 ms or more" in found.text
+    assert "1 answered after 100 ms or more" in found.words
     assert found.t_ns == 1010 * MS
     assert "handshake" not in {finding.kind for finding in problems(late(99 * MS))}
 
@@ -196,7 +198,7 @@ def test_an_echo_that_is_a_cycle_late_has_its_real_time() -> None:
     assert bus.handshake is not None and bus.handshake.answered == 298
     assert (bus.handshake.response_ms.p50_ms, bus.handshake.response_ms.max_ms) == (11.0, 11.0)
     # The bit changes with each frame: that may as well be its inverse, which no car takes.
-    (said,) = (f.text for f in judge(bus) if f.kind in ("handshake", "echo"))
+    (said,) = (f.words for f in judge(bus) if f.kind in ("handshake", "echo"))
     assert said.startswith(
         "the AI computer sends back the inverse of the HANDSHAKE bit, or the bit of the 0x520 before"
     )
@@ -229,7 +231,7 @@ def test_a_log_without_times_is_counted_and_not_timed() -> None:
 def test_times_that_go_backwards_are_said() -> None:
     frames = [*NOMINAL[:2000], replace(NOMINAL[2000], t_ns=0), *NOMINAL[2001:]]
     (found,) = [finding for finding in judge(measured(frames)) if finding.kind == "clock"]
-    assert found.text.startswith("times go backwards once") and found.t_ns == NOMINAL[1999].t_ns
+    assert found.words.startswith("times go backwards once") and found.t_ns == NOMINAL[1999].t_ns
 
 
 def test_a_simulated_drive_is_well_with_the_checkers_times() -> None:

@@ -132,7 +132,7 @@ def test_a_database_that_is_not_the_cars_is_unknown(drive: Frames, tmp_path: Pat
     (tmp_path / "other.dbc").write_text(text)
     other = load_databases([tmp_path / "other.dbc"])
     verdict = judged_frames(drive, databases=other).verdict
-    (named,) = [one.text for one in verdict.findings if one.kind == "unknown"]
+    (named,) = [one.words for one in verdict.findings if one.kind == "unknown"]
     assert "identifiers are in no database: " in named and "0x510, 0x511" in named, "one line"
     (note,) = verdict.explanation.problems
     assert note.startswith("the database does not name 0x510, 0x511"), "they are in the log"
@@ -159,7 +159,7 @@ def test_two_bridges_at_once_are_one_finding(drive: Frames) -> None:
     verdict = judged(in_order(drive, replace(ours, t_ns=ours.t_ns + 4 * MS)))
     (found,) = [finding for finding in verdict.findings if finding.kind == "intruder"]
     assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514)
-    assert "200 frames a second" in found.text
+    assert "200 frames a second" in found.words
     assert not [finding for finding in verdict.findings if finding.kind == "period"]
 
 
@@ -180,7 +180,7 @@ def test_one_who_repeats_our_own_frames_is_told_by_rate(drive: Frames, period_ms
         copied = drive.only(np.flatnonzero(then & (drive.can_id == can_id))[:: period_ms // 10])
         spoilt = in_order(spoilt, replace(copied, t_ns=copied.t_ns + 3 * MS))
     (found,) = [finding for finding in judged(spoilt).findings if finding.kind == "intruder"]
-    assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514) and f": {rate} frames a second" in found.text
+    assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514) and f": {rate} frames a second" in found.words
     assert found.t_ns is not None and abs(found.t_ns - begin_ns) <= PERIOD_NS
 
 
@@ -189,7 +189,7 @@ def test_one_who_repeats_our_frames_all_along_is_a_wrong_rate(drive: Frames) -> 
     again = drive.only(ours)
     findings = judged(in_order(drive, replace(again, t_ns=again.t_ns + 3 * MS))).findings
     (found,) = [finding for finding in findings if finding.severity == "problem"]
-    assert "120 times a second, but should 100 times: a wrong period, or a second sender" in found.text
+    assert "120 times a second, but should 100 times: a wrong period, or a second sender" in found.words
 
 
 @pytest.mark.parametrize(("can_id", "data"), [(0x510, "0500"), (0x511, "f401"), (0x513, "9cff"), (0x514, "6464")])
@@ -223,7 +223,7 @@ def test_a_status_that_repeats_itself_is_no_quiet_car(drive: Frames) -> None:
     word = int(drive.word[(drive.can_id == 0x520) & (drive.t_ns < begin_ns)][-1])
     frozen = patched(drive, 0x520, 2**64 - 1, word, begin_ns, 2 * S)
     (found,) = [one for one in judged(frozen).findings if one.severity == "problem"]
-    assert found.text.startswith("0x520 repeats itself for 1.00 s in AS_DRIVING") and found.remedy
+    assert found.words.startswith("0x520 repeats itself for 1.00 s in AS_DRIVING") and found.remedy
     assert found.t_ns is not None and abs(found.t_ns - begin_ns) <= 10 * MS
     paused = drive.only(abs(drive.t_ns - begin_ns) > S // 2)
     assert kinds(paused) == ["gap"], "a bus that is silent says nothing of the VCU"
@@ -248,7 +248,7 @@ def test_a_status_frozen_from_the_first_frame_on_is_told(length_s: int, kind: st
     frozen = patched(waiting, 0x520, 2**64 - 1, word, 0, 2**62)
     for frames in (frozen, patched(frozen, 0x510, 1, bit, 0, 2**62)):
         (found,) = [one for one in judged(frames).findings if one.severity == "problem"]
-        assert found.kind == kind and "the VCU hung" in found.text
+        assert found.kind == kind and "the VCU hung" in found.words
     comes_up = patched(frozen, 0x520, 0xF << 16, 0, 0, 2**62)
     for allowed in (
         waiting,
@@ -257,7 +257,7 @@ def test_a_status_frozen_from_the_first_frame_on_is_told(length_s: int, kind: st
         frozen.only(~np.isin(frozen.can_id, AI_IDS)),
         *([comes_up] if bit == 0 else []),  # the first HANDSHAKE that it sets is 1
     ):
-        assert not [one for one in judged(allowed).findings if "the VCU hung" in one.text]
+        assert not [one for one in judged(allowed).findings if "the VCU hung" in one.words]
 
 
 @pytest.mark.parametrize("batch_ms", [100, 300])
@@ -299,7 +299,7 @@ def test_a_pause_of_everybody_is_one_finding_of_its_moment(drive: Frames) -> Non
     begin_ns = int(drive.t_ns[-1]) - 1 * S
     verdict = judged(drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 40 * MS)))
     (pause,) = [finding for finding in verdict.findings if finding.kind == "gap"]
-    assert 40 <= int(pause.text.removeprefix("a pause of ").split()[0]) <= 50, "not that of the slowest message"
+    assert 40 <= int(pause.words.removeprefix("a pause of ").split()[0]) <= 50, "not that of the slowest message"
     assert pause.t_ns is not None and abs(pause.t_ns - begin_ns) < 20 * MS
 
 
@@ -320,7 +320,7 @@ def test_a_gap_that_lasts_into_a_part_is_measured_whole(drive: Frames) -> None:
         for finding in judged_frames(paused, part=Part(f"{end_s - 1.8}")).verdict.findings
         if finding.severity == "problem"
     ]
-    assert 500 <= int(finding.text.removeprefix("a pause of ").split()[0]) <= 520
+    assert 500 <= int(finding.words.removeprefix("a pause of ").split()[0]) <= 520
     assert finding.t_ns is not None and abs(finding.t_ns - begin_ns) <= PERIOD_NS
 
 
@@ -328,7 +328,7 @@ def test_the_end_of_a_part_is_not_called_the_logs(drive: Frames) -> None:
     stopped = drive.only((drive.can_id < 0x520) | (drive.can_id > 0x526) | (drive.t_ns < drive.t_ns[-1] - S))
     end_s = (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S - 0.2
     verdict = judged_frames(stopped, part=Part(None, f"{end_s}")).verdict
-    (told,) = [finding.text for finding in verdict.findings if finding.kind == "stopped"]
+    (told,) = [finding.words for finding in verdict.findings if finding.kind == "stopped"]
     assert told == "the car is silent for the last 0.8 s"
     explanation = verdict.explanation
     assert explanation.closing == "the part ends with the car in AS_DRIVING"
@@ -342,7 +342,7 @@ def test_a_dead_bus_and_its_error_frames_are_one_finding(drive: Frames) -> None:
     columns = replace(paused, can_id=paused.can_id.copy(), flags=paused.flags.copy())
     columns.can_id[row], columns.flags[row] = 0x40, ERROR
     (found,) = [finding for finding in judged(columns).findings if finding.severity == "problem"]
-    assert found.text.startswith("a pause of ") and found.text.endswith(", and 1 error frame: bus-off")
+    assert found.words.startswith("a pause of ") and found.words.endswith(", and 1 error frame: bus-off")
 
 
 def test_every_problem_says_what_to_do(drive: Frames, spoilt_drives: dict[str, tuple[Frames, float]]) -> None:
@@ -366,7 +366,7 @@ def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:
     drive = replace(drive, can_id=drive.can_id.copy(), flags=drive.flags.copy())
     drive.can_id[rows], drive.flags[rows] = (0x40, 0x80), ERROR
     (found,) = [finding for finding in judged(drive).findings if finding.severity == "problem"]
-    assert found.text.startswith("2 error frames: 1 bus-off; 1 ")
+    assert found.words.startswith("2 error frames: 1 bus-off; 1 ")
     assert found.t_ns == drive.t_ns[-900] and found.remedy
 
 
@@ -374,7 +374,7 @@ def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:
 def test_a_recording_that_loses_frames_is_one_finding(drive: Frames, share: float, severity: str) -> None:
     verdict = judged(drive.only(np.random.default_rng(0).random(len(drive)) > share))
     assert [f.severity for f in verdict.findings if f.kind in ("lossy", "handshake", "gap")] == [severity]
-    assert not [finding for finding in verdict.findings if "AI_COMMS_LOST" in finding.text], "no echo took 100 ms"
+    assert not [finding for finding in verdict.findings if "AI_COMMS_LOST" in finding.words], "no echo took 100 ms"
 
 
 def test_pauses_of_everybody_are_no_lost_frames(drive: Frames) -> None:
@@ -418,9 +418,9 @@ def test_two_cars_are_one_finding_and_no_cause(
         other = replace(other, word=np.where(other.can_id == 0x520, idle, np.uint64(0)))
     verdict = judged(in_order(drive, replace(other, t_ns=other.t_ns + 4 * MS)))
     (found,) = [finding for finding in verdict.findings if finding.severity == "problem"]
-    assert found.text.startswith("somebody else sends the car's messages: 0x520") and found.can_ids == ids
+    assert found.words.startswith("somebody else sends the car's messages: 0x520") and found.can_ids == ids
     assert found.t_ns is not None and -100 * MS <= found.t_ns - begin_ns <= 10 * MS
-    assert f"200 frames a second for {(drive.t_ns[-1] - found.t_ns) / S:.1f} s" in found.text
+    assert f"200 frames a second for {(drive.t_ns[-1] - found.t_ns) / S:.1f} s" in found.words
     assert not verdict.explanation.incidents and "two cars" in render.verdict(verdict.explanation)
     assert any("two cars were on the bus from" in note for note in verdict.explanation.problems)
 
@@ -449,7 +449,7 @@ def test_many_incidents_of_one_cause_are_one_line() -> None:
     silent = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 1.0).frames
     length_ns = int(silent.t_ns[-1] - silent.t_ns[0])
     many = joined([silent.at(silent.t_ns + number * (length_ns + S)) for number in range(7)])
-    assert [f.text for f in judged(many).findings if "; 6 more like it up to " in f.text]
+    assert [f.words for f in judged(many).findings if "; 6 more like it up to " in f.words]
 
 
 def test_of_two_who_ask_no_mismatch_is_told(drive: Frames) -> None:
@@ -516,7 +516,7 @@ def patched(frames: Frames, can_id: int, mask: int, bits: int, begin_ns: int, le
 )
 def test_what_the_car_does_in_passing_is_noted(drive: Frames, can_id: int, mask: int, words: str) -> None:
     verdict = judged(patched(drive, can_id, mask, 0, int(drive.t_ns[-1]) - S, 40 * MS))
-    (finding,) = (one for one in verdict.findings if words in one.text)
+    (finding,) = (one for one in verdict.findings if words in one.words)
     assert finding.severity == "note" and verdict.ok
     assert 0 <= (finding.t_ns or 0) - (drive.t_ns[-1] - S) < 10 * MS
 
@@ -564,7 +564,7 @@ def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:
     begin_ns = int(drive.t_ns[0]) + 3 * S
     state = 0b1111 << 16
     early = patched(drive, 0x520, state, 1 << 16, begin_ns, 300 * MS)  # AS_OFF, then AS_INIT again
-    texts = [one.text for one in judged(early).findings if one.severity == "note"]
+    texts = [one.words for one in judged(early).findings if one.severity == "note"]
     assert "the VCU started anew: AS_STATE AS_OFF → AS_INIT" in texts
 
 

@@ -1,4 +1,4 @@
-"""The compiled codec against cantools, for every message and any content."""
+"""The codec against cantools, for every message and any content."""
 
 from __future__ import annotations
 

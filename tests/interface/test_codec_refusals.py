@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsai_vcu.interface.codec import Codec, Decoded, EncodeError, command_of
+from fsai_vcu.interface.codec import Codec, Decoded, EncodeError
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -38,6 +38,7 @@ from fsai_vcu.interface.messages import (
     VcuSteer,
     VcuSystemStatus,
     WheelSpeeds,
+    command_of,
 )
 from fsai_vcu.interface.revisions import revision
 
@@ -100,6 +101,7 @@ def test_a_value_that_the_wire_cannot_carry_is_refused(image: Image, words: str)
         # Numbers of numpy are numbers.
         (AiSteer(np.float64(-1.5)), "513#F1FF"),
         (AiSteer(np.float32(-1.5)), "513#F1FF"),  # type: ignore[arg-type]
+        (AiDriveFront(torque_nm=np.uint8(100)), "511#E8030000"),  # type: ignore[arg-type]
         (AiStatus(handshake=np.bool_(True), cones_count_all=np.uint16(65535)), "510#01000000FFFF0000"),  # type: ignore[arg-type]
         # Logging fields saturate.
         (AiStatus(lap_counter=16, cones_count_actual=256, speed_actual_kmh=-1), "510#00000FFF00000000"),
@@ -115,6 +117,36 @@ def test_a_value_that_the_wire_cannot_carry_is_refused(image: Image, words: str)
 )
 def test_what_the_wire_can_carry_is_encoded(codec: Codec, image: Image, wire: str) -> None:
     assert str(codec.encode(image)) == wire
+
+
+@BOTH
+def test_the_two_zeros_of_a_float_are_told_apart(codec: Codec) -> None:
+    assert [str(codec.encode(RotationB(zero))) for zero in (0.0, -0.0, 0.0)] == [
+        "611#00000000",
+        "611#00000080",
+        "611#00000000",
+    ]
+
+
+@BOTH
+def test_a_value_is_refused_whatever_went_out_before(codec: Codec) -> None:
+    for _ in range(2):
+        assert str(codec.encode(AiSteer(1.0))) == "513#0A00"
+        with pytest.raises(EncodeError, match="STEER_REQUEST is nan, not a number"):
+            codec.encode(AiSteer(math.nan))
+        with pytest.raises(EncodeError, match="out of range"):
+            codec.encode(AiSteer(31.0))
+
+
+@BOTH
+def test_a_payload_said_again_has_its_own_time_and_its_problems(codec: Codec) -> None:
+    """However many others came in between."""
+    frames = [Frame(0x520, bytes.fromhex(f"0000{raw:02X}0000000000"), t_ns=raw) for raw in range(256)]
+    first = [codec.decode(frame) for frame in frames]
+    assert [codec.decode(frame) for frame in frames] == first
+    later = [codec.decode(Frame(0x520, frame.data, t_ns=1000)) for frame in frames]
+    assert [one.problems for one in later] == [one.problems for one in first]
+    assert {one.image.t_rx_ns for one in later if one.image} == {1000}
 
 
 def test_what_a_revision_has_less_is_refused_or_left_out() -> None:

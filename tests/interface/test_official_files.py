@@ -157,10 +157,10 @@ TOLD = ("SHUTDOWN_REQUEST", "AS_SWITCH_STATUS", "TS_SWITCH_STATUS", "STEERING_ST
 
 
 def test_what_a_file_lacks_is_decoded_as_idle_or_as_none(codec_of: Callable[[str], Codec]) -> None:
-    """By the compiled way and by the careful one, which a big-endian signal takes."""
+    """Also where cantools finds the bits, as it does with a big-endian signal."""
     text = without_signals(OURS, 0x520, *TOLD)
-    careful = text.replace("SG_ WARN_BATT_SOC_LOW : 33|1@1+", "SG_ WARN_BATT_SOC_LOW : 33|1@0+")
-    for codec in (codec_of(text), codec_of(careful)):
+    by_cantools = text.replace("SG_ WARN_BATT_SOC_LOW : 33|1@1+", "SG_ WARN_BATT_SOC_LOW : 33|1@0+")
+    for codec in (codec_of(text), codec_of(by_cantools)):
         image = codec.decode(Frame(0x520, bytes.fromhex("013F030300000000"))).image
         assert isinstance(image, VcuStatus)
         assert (image.handshake, image.go_signal, image.as_state) == (True, True, AsState.AS_DRIVING)
@@ -267,6 +267,13 @@ def test_multiplexed_messages_are_left_to_cantools(codec_of: Callable[[str], Cod
 # ---------------------------------------------------------------- wrong files
 
 
+@pytest.mark.parametrize("wrong", ["0|16@1- (0,0) [-30|30]", "0|80@1+ (1,0) [0|30]"], ids=["scale 0", "80 bits"])
+def test_a_signal_that_cannot_be_read_is_named_with_its_file(codec_of: Callable[[str], Codec], wrong: str) -> None:
+    text = OURS.replace("BO_ 1299 AI2VCU_Steer: 2", "BO_ 1299 AI2VCU_Steer: 10")
+    with pytest.raises(DatabaseError, match=r"official\.dbc.*: AI2VCU_Steer cannot be read: "):
+        codec_of(text.replace("SG_ STEER_REQUEST : 0|16@1- (0.1,0) [-30|30]", f"SG_ STEER_REQUEST : {wrong}"))
+
+
 def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
     for paths, words in (
         (["/nowhere/car.dbc"], r"^/nowhere/car\.dbc: no such DBC file$"),
@@ -365,6 +372,6 @@ def test_no_database_changes_the_ids_of_the_ai_computer(codec_of: Callable[[str]
         codec_of(re.sub(r"\b1299\b", str(can_id), text))
 
 
-def test_a_status_keeps_its_time_through_the_careful_path(codec_of: Callable[[str], Codec]) -> None:
+def test_a_message_that_cantools_reads_keeps_its_time(codec_of: Callable[[str], Codec]) -> None:
     codec = codec_of(OURS.replace("SG_ STEER_REQUEST : 0|16@1- ", "SG_ STEER_REQUEST : 7|16@0- "))
     assert codec.decode(replace(codec.encode(AiSteer(1.0)), t_ns=9)).image == AiSteer(1.0, t_rx_ns=9)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Literal
 
 from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Machine, Wanted
-
-Level = Literal["right", "wrong", "note"]
+from fsai_vcu.diagnostics.finding import Finding
 
 _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
@@ -19,16 +16,6 @@ _SETTLE = "sudo /usr/lib/fsai/settle"  # sets which bus the services are for
 _ANOTHER = f"name another in [can] interface and to the services: {_SETTLE} NAME"
 # No do_set_mode in drivers/net/can/usb/gs_usb.c: some kernels refuse restart-ms, others accept it and never restart.
 _NEVER_RESTART = ("gs_usb",)
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the doctor's screen. `todo`: what to do about it; a wrong finding always has one."""
-
-    topic: str
-    level: Level
-    words: str
-    todo: str = ""
 
 
 def examine(machine: Machine) -> tuple[Finding, ...]:
@@ -50,7 +37,7 @@ def vcan(machine: Machine) -> Iterator[Finding]:
         yield _right("bus", f"{machine.vcan} is up; {stand_in}")
     elif machine.kernel_has_vcan:
         make = "sudo modprobe vcan; sudo ip link add dev vcan0 type vcan; sudo ip link set vcan0 up"
-        yield Finding("bus", "note", f"no vcan0 yet; without it {stand_in}", make)
+        yield Finding("note", "bus", f"no vcan0 yet; without it {stand_in}", make)
     else:
         yield _note("bus", f"this kernel has no vcan: {stand_in}")
 
@@ -61,7 +48,7 @@ def domain(machine: Machine) -> Iterator[Finding]:
         words = f"ROS_DOMAIN_ID is {machine.domain_id}, and no ROS program starts with it"
         yield _wrong("DDS", words, "unset it, or a number up to 101 that nobody else on your network has")
     elif machine.transport:
-        yield Finding("DDS", "note", f"{here}; {machine.transport}", "unset that variable to stay on this machine")
+        yield Finding("note", "DDS", f"{here}; {machine.transport}", "unset that variable to stay on this machine")
     else:
         yield _right(
             "DDS", f"{here}, on the loopback alone: ros2 and your own programs need only the same ROS_DOMAIN_ID"
@@ -75,7 +62,7 @@ def real_time(machine: Machine) -> Iterator[Finding]:
         limits = f"{machine.user} - rtprio 60, and {machine.user} - memlock unlimited"
         words = f"{machine.user}'s programs may not be real-time: the CAN loop runs without, later under load"
         todo = f"two lines in /etc/security/limits.d/fsai.conf: {limits}; then log in again"
-        yield Finding("scheduling", "note", words, todo)
+        yield Finding("note", "scheduling", words, todo)
 
 
 # ---------------------------------------------------------------- on the car PC
@@ -258,7 +245,7 @@ def shared_memory(machine: Machine) -> Iterator[Finding]:
     if machine.dds_leftovers:
         files = "1 file" if len(machine.dds_leftovers) == 1 else f"{len(machine.dds_leftovers)} files"
         words = f"{files} in /dev/shm of ROS programs that were killed: no node of ours uses them, others may hang"
-        yield Finding("DDS", "note", words, f"sudo rm -f {' '.join(machine.dds_leftovers)}")
+        yield Finding("note", "DDS", words, f"sudo rm -f {' '.join(machine.dds_leftovers)}")
 
 
 def dds(machine: Machine) -> Iterator[Finding]:
@@ -429,12 +416,12 @@ def _short(unit: str) -> str:
 
 
 def _right(topic: str, words: str) -> Finding:
-    return Finding(topic, "right", words)
+    return Finding("right", topic, words)
 
 
 def _note(topic: str, words: str) -> Finding:
-    return Finding(topic, "note", words)
+    return Finding("note", topic, words)
 
 
 def _wrong(topic: str, words: str, todo: str) -> Finding:
-    return Finding(topic, "wrong", words, todo)
+    return Finding("problem", topic, words, todo)

@@ -61,6 +61,8 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
         if not any(car.begin_ns <= incident.t_ns <= car.end_ns for car in mixed)
     ]
     incidents = [one for one in incidents if not any(_told_by(other, one) for other in incidents)]
+    if record.ai_is_theirs:
+        incidents = [_of_theirs(incident) for incident in incidents]
     no_state = "" if len(record.series(AS_STATE)) else "without the AS state"
     return Explanation(
         heading={
@@ -79,6 +81,10 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
         unknown=no_state or ("with two cars on the bus" if mixed else ""),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
+
+
+def _of_theirs(incident: Incident) -> Incident:
+    return replace(incident, candidates=tuple(replace(one, theirs=True) for one in incident.candidates))
 
 
 def _told_by(other: Incident, one: Incident) -> bool:

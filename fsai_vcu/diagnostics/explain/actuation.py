@@ -13,11 +13,11 @@ import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import ALWAYS, Incident, IncidentKind, TimeRange, shown
-from fsai_vcu.diagnostics.explain.record import Record, Values, ms
+from fsai_vcu.diagnostics.explain.record import Record, Values
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
 from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 TORQUE_NM: Final = 20.0  # less is within what a motor's own estimate is off
 TORQUE_SHARE: Final = 0.3

@@ -28,14 +28,14 @@ from fsai_vcu.diagnostics.explain.incident import (
     ranked,
     shown,
 )
-from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Series, Span, ms
+from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Series, Span
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
 from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS, STANDING_RPM
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of state belongs to it
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs

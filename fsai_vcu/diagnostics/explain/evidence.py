@@ -19,7 +19,7 @@ from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_sp
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate, shown
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Span, Values, ms
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Span, Values
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface import messages
@@ -28,7 +28,7 @@ from fsai_vcu.interface.enums import Ami, EbsState, OpState, TsState
 from fsai_vcu.interface.fields import fields_of
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # messages that stop within this time stop together

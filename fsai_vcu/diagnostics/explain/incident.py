@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
 from typing import Any, Final, Protocol, TypeVar
@@ -86,15 +86,19 @@ class ChainLink:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One cause that may be behind an incident, with its evidence, the earliest first."""
+    """One cause that may be behind an incident, with its evidence, the earliest first.
+
+    `theirs`: what sends for the AI computer is not this software's bridge.
+    """
 
     slug: str
     sureness: Sureness
     steps: tuple[ChainLink, ...]
+    theirs: bool = False
 
     @property
     def cause(self) -> Cause:
-        return CAUSES[self.slug]
+        return replace(CAUSES[self.slug], theirs=self.theirs)
 
     @property
     def t_ns(self) -> int:

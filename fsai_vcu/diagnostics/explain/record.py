@@ -30,7 +30,7 @@ from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 Values = npt.NDArray[np.float64]
 
@@ -38,14 +38,8 @@ DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 _own_databases: Final = cache(load_databases)
 _AT_ONCE: Final = 1000  # spans
+_ENOUGH_OF_AI: Final = 250  # frames: half a second
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
-
-
-def ms(length_ns: int) -> str:
-    """A length of time as people read it."""
-    if length_ns < S:
-        return f"{length_ns / MS:.0f} ms" if length_ns >= 10 * MS else f"{length_ns / MS:.1f} ms"
-    return f"{length_ns / S:.2f} s"
 
 
 class Span(NamedTuple):
@@ -269,6 +263,21 @@ class Record:
         """Whether the log has any whole message of the AI computer."""
         return any(map(self.has, AI_IDS))
 
+    @cached_property
+    def ai_is_theirs(self) -> bool:
+        """Whether another program than this software's bridge drives: it sends in another order, or in another rhythm.
+
+        The bridge sends 0x510 to 0x514 in the order of their ids, together, every 10 ms. Where two programs send, or
+        too little was heard, that is not told.
+        """
+        of_ai = np.isin(self.frames.can_id, AI_IDS)
+        ids, cycles = self.frames.can_id[of_ai].astype(np.int64), len(self.times(AI_IDS[0]))
+        if len(ids) < _ENOUGH_OF_AI or self.second_senders:
+            return False
+        turns = int((np.diff(ids) <= 0).sum()) + 1
+        period_ns = float(np.median(np.diff(self.times(AI_IDS[0])))) if cycles > 1 else 0.0
+        return not (0.9 <= turns / max(cycles, 1) <= 1.1 and 0.8 <= period_ns / PERIOD_NS <= 1.2)
+
     def times(self, can_id: int) -> Ints:
         """When that message came."""
         if can_id not in self._times:
@@ -284,8 +293,8 @@ class Record:
     def series(self, signal: Signal) -> Series:
         """A signal in physical units; empty if the log or the database does not have it."""
         if signal not in self._series:
-            absent = signal in sig.ONLY_2026 and self.revision.name == "2021"
-            self._series[signal] = NOTHING if absent else self._read(signal)
+            silent = signal.name in self.revision.says_nothing
+            self._series[signal] = NOTHING if silent else self._read(signal)
         return self._series[signal]
 
     def _read(self, signal: Signal) -> Series:

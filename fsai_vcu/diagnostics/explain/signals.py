@@ -47,7 +47,6 @@ SHUTDOWN_CAUSE: Final = Signal("VCU2AI_Status", "SHUTDOWN_CAUSE")
 OP_STATE: Final = Signal("VCU2AI_Status", "OP_STATE")
 TS_STATE: Final = Signal("VCU2AI_Status", "TS_STATE")
 EBS_STATE: Final = Signal("VCU2AI_Status", "EBS_STATE")
-ONLY_2026: Final = (OP_STATE, TS_STATE, EBS_STATE)  # of a 2021 car these bits say nothing, whatever a database names
 COMMS_LOST: Final = Signal("VCU2AI_Status", "AI_COMMS_LOST")
 FAULTS: Final = tuple(Signal("VCU2AI_Status", name) for name in FAULT_NAMES.values())
 WARNINGS: Final = tuple(Signal("VCU2AI_Status", name) for name in ("WARN_BATT_TEMP_HIGH", "WARN_BATT_SOC_LOW"))

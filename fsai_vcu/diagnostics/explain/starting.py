@@ -1,18 +1,21 @@
-"""Why the car does not start, in a log or at one moment: the conditions from power-up to AS_DRIVING as two tables.
+"""Why the car does not start, in a log or at one moment.
 
-`TO_READY` are the conditions of AS_OFF -> AS_READY (and of leaving AS_INIT), `TO_DRIVING` those of AS_READY ->
-AS_DRIVING. A condition that cannot be met before another one is, is named as what follows from it.
+The conditions are those of `start_conditions.py`; here is what a log shows of each, and what was missing where the car
+was to start and did not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from operator import not_
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping
+from enum import IntEnum
+from typing import Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
+from fsai_vcu.core.supervision.start_conditions import Moment, Obstacle
+from fsai_vcu.core.supervision.start_conditions import unmet as conditions_unmet
+from fsai_vcu.core.supervision.start_conditions import why_not_driving as bus_not_driving
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS
 from fsai_vcu.diagnostics.explain.endings import idle, restarted, switched
@@ -26,42 +29,30 @@ from fsai_vcu.diagnostics.explain.incident import (
     candidate,
     shown,
 )
-from fsai_vcu.diagnostics.explain.record import Record, Span, ms
+from fsai_vcu.diagnostics.explain.record import Record, Span
 from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
+from fsai_vcu.interface.enums import OFF_LIKE, AsState, MissionStatus
+from fsai_vcu.interface.fields import Refuse, fields_of
+from fsai_vcu.interface.messages import (
+    COMMAND_FIELDS,
+    VEHICLE_FIELD_OF,
+    AiCommand,
+    Faults,
+    VcuBrake,
+    VcuStatus,
+    VcuSteer,
+    VehicleState,
+)
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_STEER_DEG, READY_WAIT_NS, STANDING_RPM
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS, STANDING_RPM
+from fsai_vcu.interface.units import MS, S, ms
 
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
 RECENT_NS: Final = 500 * MS
-
-Unmet = Callable[[Record, int], "ChainLink | None"]
-
-
-@dataclass(frozen=True, slots=True)
-class StartCondition:
-    """One condition. `unmet` gives the evidence while it does not hold. `after`: what has to be met before it."""
-
-    slug: str
-    unmet: Unmet
-    after: tuple[str, ...] = ()
-    hint: bool = False  # no condition of the interface's table, but it goes with a car that does not start
-
-
-def _is(signal: Signal, wanted: Callable[[float], bool]) -> Unmet:
-    """The condition that a signal (where the log has it) has a wanted value."""
-
-    def unmet(record: Record, t_ns: int) -> ChainLink | None:
-        span = record.span_at(signal, t_ns)
-        if span is None or wanted(span.value):
-            return None
-        return signal.step(span.begin_ns, f"{signal.name} is {label(signal, span.value)}")
-
-    return unmet
 
 
 def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
@@ -90,112 +81,116 @@ def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
     return ChainLink(max(int(record.newest_ns(missing[0], t_ns)), record.begin_ns), words, missing[0])
 
 
-def _ebs(record: Record, t_ns: int) -> ChainLink | None:
-    if len(record.series(sig.EBS_STATE)):
-        return _is(sig.EBS_STATE, lambda value: value == EbsState.EBS_ARMED)(record, t_ns)
-    # 0 is what the official simulator always sends: it says nothing
-    return _is(sig.STATUS_EBS, lambda value: value in (0, EbsStatus.ARMED))(record, t_ns)
-
-
-def _status(wrong: MissionStatus) -> Unmet:
-    return _is(sig.MISSION_STATUS, lambda value: value != wrong)
-
-
 def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
-    ends = (sig.EMERGENCY,) if record.revision.name == "2021" else (sig.EMERGENCY, sig.FINISHED)
     if record.like_official_simulator:
         return None  # ASMS alone resets it
-    run = record.series(sig.AS_STATE).last(t_ns, *ends)
+    run = record.series(sig.AS_STATE).last(t_ns, *record.revision.power_cycle_after)
     if run is None or any(run.end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
         return None
     words = f"the last run ended in {label(sig.AS_STATE, run.value)}, and 0x520 has not been away since"
     return sig.AS_STATE.step(run.end_ns, words)
 
 
-def _fault(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.span_at(sig.FAULT_STATUS, t_ns)
-    if span is None or not span.value:
+def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
+    span = record.span_at(sig.MISSION_STATUS, t_ns)
+    if not record.like_official_simulator or span is None or span.value == MissionStatus.SELECTED:
         return None
-    names = ", ".join(signal.name for signal in sig.FAULTS if record.at(signal, t_ns))
-    return sig.FAULT_STATUS.step(span.begin_ns, f"FAULT_STATUS is 1{': ' + names if names else ''}")
+    return sig.MISSION_STATUS.step(span.begin_ns, f"MISSION_STATUS is {label(sig.MISSION_STATUS, span.value)}")
 
 
-_LINK = ("no_ai_data", "ai_data_incomplete")
-
-TO_READY: Final[tuple[StartCondition, ...]] = (
-    StartCondition("status_frozen", _frozen),
-    StartCondition("no_ai_data", _no_ai_data),
-    StartCondition("ai_data_incomplete", _incomplete),
-    StartCondition("power_cycle", _power_cycle),
-    StartCondition("asms", _is(sig.AS_SWITCH, bool)),
-    StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
-    StartCondition("shutting_down", _is(sig.SHUTDOWN_REQUEST, not_), after=("tsms",)),
-    StartCondition("fault", _fault, after=_LINK),
-    StartCondition("link_lost", _is(sig.COMMS_LOST, not_), after=_LINK),
-    StartCondition("estop_latched", _is(sig.ESTOP, not_), after=("no_ai_data",)),
-    StartCondition("no_mission", _is(sig.AMI, bool)),
-    StartCondition(
-        "status_not_selected", _status(MissionStatus.NOT_SELECTED), after=("no_ai_data", "no_mission", "estop_latched")
-    ),
-    StartCondition("status_running", _status(MissionStatus.RUNNING), after=("no_ai_data",)),
-    StartCondition("status_finished", _status(MissionStatus.FINISHED), after=("no_ai_data",)),
-    StartCondition(
-        "ts_not_running",
-        _is(sig.TS_STATE, lambda value: value == TsState.TS_RUNNING),
-        after=(*_LINK, "tsms", "power_cycle", "fault", "shutting_down", "link_lost"),
-    ),
-    StartCondition(
-        "ebs_not_armed",
-        _ebs,
-        after=(*_LINK, "asms", "tsms", "power_cycle", "fault", "shutting_down", "link_lost", "ts_not_running"),
-    ),
-)
+_HISTORY: Final[Mapping[str, Callable[[Record, int], ChainLink | None]]] = {
+    "status_frozen": _frozen,
+    "no_ai_data": _no_ai_data,
+    "ai_data_incomplete": _incomplete,
+    "power_cycle": _power_cycle,
+    "ready_not_selected": _ready_not_selected,
+}
+"""The conditions that only frames before a moment show."""
 
 
-def _too_early(record: Record, t_ns: int) -> ChainLink | None:
+def _signals() -> Iterator[tuple[str, Signal]]:
+    """The signal of each field of a Moment."""
+    declared: dict[Any, str] = {**VEHICLE_FIELD_OF, **dict.fromkeys(COMMAND_FIELDS, "command")}
+    for kind, root in declared.items():
+        for one in fields_of(kind):
+            name = COMMAND_FIELDS[kind][one.name] if root == "command" else one.name
+            yield f"{root}.{name}", Signal(kind.dbc_name, one.signal)
+
+
+_SIGNALS: Final = dict(_signals())
+
+
+def _heard(record: Record, t_ns: int, kind: Any) -> dict[str, Any] | None:
+    """The fields of a message as the newest frames up to `t_ns` have them; None where nothing may be believed."""
+    found: dict[str, Any] = {}
+    for one in fields_of(kind):
+        holds: Any = one.holds
+        value = record.at(Signal(kind.dbc_name, one.signal), t_ns)
+        if value is None:
+            continue
+        known = not issubclass(holds, IntEnum) or value in set(holds)
+        found[one.name] = holds(value) if known else one.unknown
+    return None if not found or Refuse.FRAME in found.values() else found
+
+
+def moment(record: Record, t_ns: int) -> Moment:
+    """What the log shows up to `t_ns`, as a bridge would have it, and the history of it."""
+    seen: dict[str, Any] = {}
+    kinds: tuple[Any, ...] = (VcuStatus, VcuSteer, VcuBrake)
+    for kind in kinds:
+        heard = _heard(record, t_ns, kind)
+        if heard is None or (kind is VcuBrake and record.like_official_simulator):
+            continue
+        own = {name: value for name, value in heard.items() if "." not in name}
+        if kind is VcuStatus:
+            own["faults"] = Faults(**{name.partition(".")[2]: v for name, v in heard.items() if "." in name})
+        seen[VEHICLE_FIELD_OF[kind]] = kind(**own)
+    said = {
+        names[name]: value
+        for kind, names in COMMAND_FIELDS.items()
+        for name, value in (_heard(record, t_ns, kind) or {}).items()
+    }
+    unknown = record.at(sig.AS_STATE, t_ns) is not None and "status" not in seen
+    status_ns = int(record.newest_ns(sig.STATUS, t_ns))
+    silent_ns = t_ns - status_ns if status_ns >= 0 and t_ns - status_ns >= COMMS_LOST_NS else None
+    span = record.span_at(sig.AS_STATE, t_ns)
+    return Moment(
+        VehicleState(**seen, status_known=not unknown),
+        AiCommand(**said) if said else None,
+        silent_ns,
+        t_ns - span.begin_ns if span is not None and span.before is not None else None,
+        {slug: link.words for slug, show in _HISTORY.items() if (link := show(record, t_ns)) is not None},
+    )
+
+
+def unmet(state: AsState, record: Record, t_ns: int) -> list[Candidate]:
+    """What does not hold at `t_ns` of what is asked in a state: what must be put right first, then what follows."""
+    found = []
+    for condition, source, evidence, follows in conditions_unmet(moment(record, t_ns), state):
+        signal = _SIGNALS.get(source)
+        span = None if signal is None else record.span_at(signal, t_ns)
+        if signal is not None and span is not None:
+            step: ChainLink | None = signal.step(span.begin_ns, evidence)
+        else:
+            step = _HISTORY[condition.slug](record, t_ns)
+        assert step is not None
+        sureness = Sureness.FITS if follows else Sureness.SHOWN
+        found.append(candidate(_named(condition.slug, record, t_ns), sureness, step))
+    return found
+
+
+def _named(slug: str, record: Record, t_ns: int) -> str:
+    """The car's own name for a fault says what to do."""
+    names = (FAULT_BITS[signal.name] for signal in sig.FAULTS if signal != sig.COMMS_LOST and record.at(signal, t_ns))
+    return next(names, slug) if slug == "fault" else slug
+
+
+def _too_early(record: Record, t_ns: int) -> list[Candidate]:
     span = record.span_at(sig.AS_STATE, t_ns)
     if span is None or span.before is None or t_ns - span.begin_ns >= READY_WAIT_NS:
-        return None
+        return []
     words = f"Go {ms(t_ns - span.begin_ns)} after AS_READY began: 5 s have to pass"
-    return sig.AS_STATE.step(span.begin_ns, words)
-
-
-def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
-    if not record.like_official_simulator:
-        return None
-    return _is(sig.MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
-
-
-TO_DRIVING: Final[tuple[StartCondition, ...]] = (
-    StartCondition("status_frozen", _frozen),
-    StartCondition("go_too_early", _too_early),
-    StartCondition("torque_requested", lambda *at: _is(sig.TORQUE_F, not_)(*at) or _is(sig.TORQUE_R, not_)(*at)),
-    StartCondition("steering_requested", _is(sig.STEER, not_)),
-    StartCondition("steering_turned", _is(sig.ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
-    StartCondition("direction_not_neutral", _is(sig.DIRECTION, lambda value: value == Direction.NEUTRAL)),
-    StartCondition("ready_not_selected", _ready_not_selected),
-    StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
-    StartCondition("link_lost", _is(sig.COMMS_LOST, not_)),
-    StartCondition("no_ai_data", _no_ai_data),
-    StartCondition("steering_inactive", _is(sig.STEERING_STATUS, bool), hint=True),
-    StartCondition("brakes_not_ready", _is(sig.STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
-)
-
-
-def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> list[Candidate]:
-    """What does not hold at `t_ns`: what must be put right first, then what follows from it."""
-    steps = {c.slug: (c, step) for c in conditions if (step := c.unmet(record, t_ns)) is not None}
-    named = (FAULT_BITS[signal.name] for signal in sig.FAULTS if signal != sig.COMMS_LOST and record.at(signal, t_ns))
-    fault = next(named, "fault")  # the car's own name for it says what to do
-    found = [
-        candidate(
-            fault if slug == "fault" else slug,
-            Sureness.FITS if c.hint or not steps.keys().isdisjoint(c.after) else Sureness.SHOWN,
-            step,
-        )
-        for slug, (c, step) in steps.items()
-    ]
-    return sorted(found, key=lambda one: -one.sureness)
+    return [shown("go_too_early", sig.AS_STATE.step(span.begin_ns, words))]
 
 
 # ---------------------------------------------------------------- refusals
@@ -223,7 +218,7 @@ def _never_ready(record: Record) -> Iterator[Incident]:
             continue  # driven by hand
         at_ns = _last_both_on(record, begin_ns, end_ns)
         met = ChainLink(at_ns, "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there", sig.STATUS)
-        candidates = unmet(TO_READY, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
+        candidates = unmet(AsState.AS_OFF, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
         state = label(sig.AS_STATE, record.at(sig.AS_STATE, at_ns))
         what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
         yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates), lasted=(begin_ns, end_ns))
@@ -260,7 +255,7 @@ def _refused_go(record: Record, span: Span) -> Incident | None:
     found: dict[str, Candidate] = {}
     pressed = [sig.GO.step(edge_ns, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY") for edge_ns in refused]
     for press in pressed:
-        for one in unmet(TO_DRIVING, record, press.t_ns):
+        for one in (*_too_early(record, press.t_ns), *unmet(AsState.AS_READY, record, press.t_ns)):
             found.setdefault(one.slug, candidate(one.slug, one.sureness, *one.steps, press))
     if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
         found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, pressed[0])
@@ -283,7 +278,7 @@ def _waited_in_vain(record: Record, span: Span) -> Incident | None:
     if waited_ns >= NO_GO_NS and not found:
         end_ns = span.end_ns - 1 if span.after is not None else span.end_ns
         go = record.span_at(sig.GO, end_ns)
-        found += [one for one in unmet(TO_DRIVING, record, end_ns) if one.slug != "go_too_early"]
+        found += unmet(AsState.AS_READY, record, end_ns)
         if go is not None and go.value and go.begin_ns <= span.begin_ns:
             found.append(shown("go_held", sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began")))
         elif go is not None and not go.value:
@@ -303,84 +298,39 @@ def _waited_in_vain(record: Record, span: Span) -> Incident | None:
 # ---------------------------------------------------------------- at one moment
 
 
-@dataclass(frozen=True, slots=True)
-class Obstacle:
-    """One thing that stands between now and driving. `follows`: it goes by itself once the ones above it are gone."""
-
-    words: str
-    evidence: str = ""
-    remedy: str = ""
-    follows: bool = False
-
-    @property
-    def sentence(self) -> str:
-        """The words, and the evidence where they do not name it already."""
-        named = self.evidence in self.words or self.evidence.replace(" is ", " ") in self.words
-        return self.words if named else f"{self.words} ({self.evidence})"
-
-
 def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> Iterator[Obstacle]:
-    """What stands between now and driving, what must be put right first in front. In AS_DRIVING only that it stands.
+    """What stands between now and driving, and what to do, what must be put right first in front.
 
-    emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that was seen.
+    In AS_DRIVING only that the car stands. emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that
+    was seen.
     """
     span = record.span_at(sig.AS_STATE, now_ns)
     if span is None and record.wrong_length.get(sig.STATUS):
-        yield Obstacle(f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing")
+        yield _told(
+            record, Obstacle("status_length", f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing")
+        )
         return
     if span is None and not record.lacks(sig.STATUS):
-        yield Obstacle("the database has no AS_STATE in 0x520", remedy="use the car's own (no --dbc), or --revision")
+        yield _told(record, Obstacle("no_as_state", "the database has no AS_STATE in 0x520"))
         return
-    if span is None:
-        remedy = "LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)"
-        yield Obstacle("no 0x520 from the car yet", remedy=remedy)
+    now = moment(record, now_ns)
+    if span is not None and now.silent_ns is None and span.value == sig.EMERGENCY and emergency is not None:
+        yield _of_cause(record, emergency.candidates[0])
+        yield from (replace(obstacle, follows=True) for obstacle in bus_not_driving(now))
         return
-    silent_ns = now_ns - int(record.times(sig.STATUS)[-1])
-    state = label(sig.AS_STATE, span.value)
-    if silent_ns >= COMMS_LOST_NS:
-        remedy = "switched off, or unplugged: LVMS, CAN plug" if silent_ns >= S else CAUSES["vcu_silent"].remedy
-        yield Obstacle(
-            f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"its last AS state was {state}", remedy
-        )
-    elif span.value == sig.EMERGENCY:
-        yield from _braked(emergency)
-    elif span.value == sig.FINISHED:
-        yield Obstacle("the mission is finished (AS_FINISHED)", remedy="ASMS off ends the run")
-    elif span.value == sig.READY:
-        yield from _in_ready(record, span, now_ns)
-    elif span.value == sig.DRIVING:
-        if stood := idle(record, span.begin_ns, now_ns):
-            yield _obstacle(shown("not_driven", stood))
-    else:
-        found = [_obstacle(one) for one in unmet(TO_READY, record, now_ns)]
-        if span.value not in OFF_LIKE:
-            yield Obstacle(f"AS_STATE is {state}")
-        elif not found:
-            yield Obstacle(f"{state}: all that the bus shows is met; the VCU goes to AS_READY by itself")
-        yield from found
+    if span is not None and now.silent_ns is None and span.value == sig.DRIVING:
+        stood = idle(record, span.begin_ns, now_ns)
+        if stood is None:
+            return
+        yield _told(record, Obstacle("not_driven", CAUSES["not_driven"].words, stood.words))
+    for obstacle in bus_not_driving(now):
+        yield _told(record, obstacle, _named(obstacle.slug, record, now_ns))
 
 
-def _braked(emergency: Incident | None) -> Iterator[Obstacle]:
-    if emergency is None:
-        words = "the car is in EMERGENCY_BRAKE, and was before this began to listen"
-        yield Obstacle(words, remedy=CAUSES["before_the_log"].remedy)
-        return
-    for one in emergency.candidates[:2]:
-        evidence = "" if one.sureness >= Sureness.SHOWN else one.sureness.words
-        yield Obstacle(one.cause.words, evidence, one.cause.remedy, follows=one.sureness < Sureness.FITS)
+def _of_cause(record: Record, one: Candidate) -> Obstacle:
+    evidence = "" if one.sureness >= Sureness.SHOWN else one.sureness.words
+    return _told(record, Obstacle(one.slug, one.cause.words, evidence, one.sureness < Sureness.FITS))
 
 
-def _in_ready(record: Record, span: Span, now_ns: int) -> Iterator[Obstacle]:
-    yield from (_obstacle(one) for one in unmet(TO_DRIVING, record, now_ns) if one.slug != "go_too_early")
-    left_ns = READY_WAIT_NS - (now_ns - span.begin_ns)
-    if left_ns > 0 and span.before is not None:
-        yield Obstacle(f"waiting in AS_READY: {left_ns / S:.1f} s of {READY_WAIT_NS // S} s left")
-    if record.at(sig.GO, now_ns):
-        yield Obstacle(CAUSES["go_held"].words, "GO_SIGNAL is 1", CAUSES["go_held"].remedy)
-    else:
-        yield Obstacle("waiting for Go", "GO_SIGNAL is 0", CAUSES["no_go"].remedy, follows=left_ns > 0)
-
-
-def _obstacle(one: Candidate) -> Obstacle:
-    evidence = "; ".join(step.words for step in one.steps[-2:])
-    return Obstacle(one.cause.words, evidence, one.cause.remedy, follows=one.sureness < Sureness.SHOWN)
+def _told(record: Record, obstacle: Obstacle, slug: str = "") -> Obstacle:
+    return replace(obstacle, remedy=remedy_of(slug or obstacle.slug, theirs=record.ai_is_theirs))

@@ -12,13 +12,13 @@ import numpy as np
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, GONE_NS, error_text, silence_words
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Series, ms
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Series
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
 MANY: Final = 12  # gaps of one message, or changes of one signal at short intervals, named one by one

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Final
 
+from fsai_vcu.core.supervision.start_conditions import Obstacle
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-from fsai_vcu.diagnostics.explain.starting import Obstacle
 from fsai_vcu.diagnostics.statistics.measure import Handshake, as_json
 from fsai_vcu.printable import printable
 

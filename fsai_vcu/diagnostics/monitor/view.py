@@ -15,7 +15,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.endings import emergencies
 from fsai_vcu.diagnostics.explain.evidence import error_text
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
-from fsai_vcu.diagnostics.explain.record import Record, ms
+from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.explain.starting import why_not_driving
 from fsai_vcu.diagnostics.explain.timeline import timeline
@@ -27,7 +27,7 @@ from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.units import S
+from fsai_vcu.interface.units import S, ms
 
 EXPECTED: Final = tuple(
     message.can_id

@@ -121,7 +121,7 @@ def _findings(verdict: Verdict) -> str:
     for finding in verdict.findings:
         if finding.kind not in kinds:
             remedy = f" <b>What to do:</b> {escape(finding.remedy)}." if finding.remedy else ""
-            text = escape(verdict.moment(finding) + finding.text)
+            text = escape(verdict.moment(finding) + finding.words)
             shown += f'<li class="{finding.severity}"><b>{finding.severity}</b>: {text}.{remedy}</li>\n'
     return _section("bus", "On the bus", f'<ul class="notes">\n{shown}</ul>') if shown else ""
 

@@ -19,6 +19,7 @@ from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import words_of
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked
+from fsai_vcu.diagnostics.finding import Finding
 
 _CONFIG = BridgeConfig()
 AGE_MAX_S = _CONFIG.sensor_stale_ns / 1e9
@@ -47,15 +48,6 @@ TOPICS = {
     "run_state": Topic(0.0, "vcu_bridge"),
     "reset_confirmation": Topic(0.0),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that is wrong: where, what, and what to do."""
-
-    topic: str
-    wrong: str
-    to_do: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +178,7 @@ class StackWatch:
             heard = self.heard[topic]
             if expected.sender and not heard.count:
                 to_do = f"it comes from {expected.sender}: is it running, on this ROS_DOMAIN_ID and in this namespace?"
-                yield Finding(topic, "nothing was received", to_do)
+                yield _wrong(topic, "nothing was received", to_do)
             if expected.least_hz:
                 yield from _of_times(topic, heard, expected.least_hz)
         yield from self._of_plans()
@@ -194,23 +186,25 @@ class StackWatch:
         for (node, what), message in self.told.items():
             if what != "clock":
                 to_do = "fsai_nodes.declarations has what each field may be"
-                yield Finding(what.removeprefix("/"), f"{node} says: {message}", to_do)
+                yield _wrong(what.removeprefix("/"), f"{node} says: {message}", to_do)
         for role in ROLES if self.run_id is not None else ():
             if (role, self.run_id) not in self.confirmed:
                 to_do = f"publish ResetConfirmation(role='{role}') with each new run_id of /run_state, transient local"
-                yield Finding("reset_confirmation", f"the {role} has not confirmed run {self.run_id}", to_do)
+                yield _wrong("reset_confirmation", f"the {role} has not confirmed run {self.run_id}", to_do)
         for problem, count in self.problems.items():
-            yield Finding("vehicle_cmd", *_of_commands(problem, count, self.steer_max_rad))
+            yield _wrong("vehicle_cmd", *_of_commands(problem, count, self.steer_max_rad))
         for frame in sorted(self.frames - {"base_link"}):
             to_do = "points are in base_link, of the instant of the stamp: x forward, y left, from the rear axle"
-            yield Finding("path", f"frame_id is '{frame}'", to_do)
+            yield _wrong("path", f"frame_id is '{frame}'", to_do)
         for slug, (before, after) in self.counted.items():
             if after > before:
                 detail = f" ({self.details[slug]})" if slug in self.details else ""
                 wrong = f"the bridge intervened {after - before} times: {words_of(slug)}{detail}"
-                yield Finding("vehicle_cmd", wrong, "docs/supervision.md says what follows from it")
+                yield _wrong("vehicle_cmd", wrong, "docs/supervision.md says what follows from it")
         if self.stopping:
-            yield Finding("vehicle_state", f"the car was stopped: {self.stopping}", "the first lines here may say why")
+            yield Finding(
+                "problem", "vehicle_state", f"the car was stopped: {self.stopping}", "the first lines here may say why"
+            )
 
     def _of_plans(self) -> Iterator[Finding]:
         """What is published and does not come; and paths that lead nowhere."""
@@ -222,11 +216,14 @@ class StackWatch:
                 words = "nobody sends a plan" if topic == "path" else "nothing was received"
                 wrong = f"{words}: {who} publishes it but sends nothing, and {waits} waits for it"
                 yield Finding(
-                    topic, wrong + (why if topic == "path" else ""), "the log of that node says what it misses"
+                    "problem",
+                    topic,
+                    wrong + (why if topic == "path" else ""),
+                    "the log of that node says what it misses",
                 )
         if self.drives and self.heard["path"].count and not self.points:
             wrong = f"nobody sends a plan: none of {self.heard['path'].count} paths has a point{why}"
-            yield Finding("path", wrong, "look at the cones that come: fsai-vcu pitwall CHANNEL --ros")
+            yield _wrong("path", wrong, "look at the cones that come: fsai-vcu pitwall CHANNEL --ros")
 
     def _of_clocks(self) -> Iterator[Finding]:
         """Nodes whose own clock stands still, or is another than the others'."""
@@ -236,44 +233,52 @@ class StackWatch:
             wrong = (
                 f"nobody publishes it, and use_sim_time is set in {' and '.join(simulated)}: that clock stands still"
             )
-            yield Finding("clock", wrong, _CLOCK)
+            yield _wrong("clock", wrong, _CLOCK)
         elif simulated and others:
             wrong = f"{' and '.join(simulated)} goes by /clock (use_sim_time), and {' and '.join(others)} does not"
-            yield Finding("clock", wrong, _CLOCK)
+            yield _wrong("clock", wrong, _CLOCK)
         for (node, what), message in self.told.items():
             if what == "clock" and node not in simulated:
-                yield Finding("clock", f"{node} says: {message}", _CLOCK)
+                yield _wrong("clock", f"{node} says: {message}", _CLOCK)
+
+
+def _wrong(topic: str, words: str, remedy: str) -> Finding:
+    return Finding("problem", topic, words, remedy)
 
 
 def _of_ends(topic: str, ends: Ends) -> Iterator[Finding]:
     """Publishers and readers that do not receive each other, and a topic with one side only."""
     if not ends.publishers and ends.readers and not TOPICS[topic].sender and topic != "reset_confirmation":
         wrong = f"nobody publishes it, and {' and '.join(sorted(set(ends.readers)))} waits for it"
-        yield Finding(topic, wrong, "is that node running? is it remapped?")
+        yield _wrong(topic, wrong, "is that node running? is it remapped?")
     if topic == "vehicle_cmd" and len(ends.publishers) > 1:
         wrong = f"{len(ends.publishers)} nodes command the car: {' and '.join(sorted(ends.publishers))}"
-        yield Finding(topic, wrong, "end all but one of them")
+        yield _wrong(topic, wrong, "end all but one of them")
     for reader, publisher, why in ends.deaf:
         wrong = f"{reader} does not receive {publisher}: {why}"
-        yield Finding(topic, wrong, "use the profile of fsai_nodes.qos (nodes/README.md has the table)")
+        yield _wrong(topic, wrong, "use the profile of fsai_nodes.qos (nodes/README.md has the table)")
 
 
 def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
     if heard.count > 1 and heard.rate_hz < least_hz:
         wrong = f"{heard.rate_hz:.1f} Hz, at least {least_hz / 0.9:.0f} are needed"
-        yield Finding(topic, wrong, "publish by a timer or with each input, and do nothing slow in a callback")
+        yield Finding(
+            "problem", topic, wrong, "publish by a timer or with each input, and do nothing slow in a callback"
+        )
     elif topic == "vehicle_cmd" and heard.gap_s > GAP_MAX_S:
         wrong = f"it paused for {heard.gap_s * 1e3:.0f} ms; after {GAP_MAX_S * 1e3:.0f} ms torque is cut"
-        yield Finding(topic, wrong, "publish by a timer of 20 ms, and do nothing slow in a callback")
+        yield _wrong(topic, wrong, "publish by a timer of 20 ms, and do nothing slow in a callback")
     if heard.unstamped:
         to_do = "copy the stamp of the oldest data behind it (cones, path), not the time of publishing"
-        yield Finding(topic, f"{heard.unstamped} of {heard.count} messages have no stamp", to_do)
+        yield _wrong(topic, f"{heard.unstamped} of {heard.count} messages have no stamp", to_do)
     if heard.oldest_s > AGE_MAX_S:
         wrong = f"stamps are up to {heard.oldest_s:.2f} s old; after {AGE_MAX_S:g} s data are stale"
-        yield Finding(topic, wrong, "pass the newest data on at once; on two computers: are their clocks alike?")
+        yield Finding(
+            "problem", topic, wrong, "pass the newest data on at once; on two computers: are their clocks alike?"
+        )
     if heard.youngest_s < -AHEAD_MAX_S:
         wrong = f"stamps are up to {-heard.youngest_s:.2f} s in the future: such messages are refused"
-        yield Finding(topic, wrong, "stamp with this computer's clock, not with simulated time")
+        yield _wrong(topic, wrong, "stamp with this computer's clock, not with simulated time")
 
 
 def _of_commands(problem: str, count: int, steer_max_rad: float) -> tuple[str, str]:

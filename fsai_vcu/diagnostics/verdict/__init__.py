@@ -15,15 +15,15 @@ from itertools import groupby, islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from msgspec import structs
 
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
-from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.endings import REBOOT_NS
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
 from fsai_vcu.diagnostics.explain.incident import ALWAYS, TimeRange, within
-from fsai_vcu.diagnostics.explain.record import Record, ms
+from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
     AS_STATE,
@@ -35,21 +35,22 @@ from fsai_vcu.diagnostics.explain.signals import (
     STATUS,
     label,
 )
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.frames import Frames, straightened
 from fsai_vcu.diagnostics.log.part import Part
+from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.diagnostics.statistics.measure import (
     MISSING_PERIODS,
     BusStatistics,
-    Finding,
     MessageStatistics,
-    judge,
     measure,
 )
 from fsai_vcu.diagnostics.verdict.ai_side import mistakes
+from fsai_vcu.diagnostics.verdict.of_bus import judge
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
-from fsai_vcu.interface.units import MS, S
+from fsai_vcu.interface.units import MS, S, ms
 
 OFF: Final = float(AsState.AS_OFF)
 NEARLY_FULL: Final = 65_000  # a counter of 16 bits goes on at 0
@@ -109,7 +110,7 @@ class Verdict:
         """The findings as people read them, and what to do: once for those beside each other with one remedy."""
         yield from (f"unknown: {why}" for why in self.unknown)
         for remedy, findings in groupby(self.findings, lambda finding: finding.remedy):
-            yield from (f"{finding.severity}: {self.moment(finding)}{finding.text}" for finding in findings)
+            yield from (f"{finding.severity}: {self.moment(finding)}{finding.words}" for finding in findings)
             if remedy and remedies:
                 yield f"    what to do: {remedy}."
 
@@ -131,7 +132,7 @@ class Verdict:
                 "type": "finding",
                 "severity": finding.severity,
                 "kind": finding.kind,
-                "text": finding.text,
+                "text": finding.words,
                 "t_s": None if finding.t_ns is None else round((finding.t_ns - self.begin_ns) / S, 6),
                 "t_ns": finding.t_ns,
                 "remedy": finding.remedy or None,
@@ -219,16 +220,14 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     # (a message, since when) that an incident's cause names as missing or foreign, and how often an echo was with it
     roots = {(first.steps[0].can_id, first.t_ns) for first in firsts}
     echoes = sum(first.slug in NO_ECHO for first in firsts)
-    remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
     for one in senders:
         if (one.can_ids[0], one.begin_ns) in roots:
             continue
-        where = (one.begin_ns, remedy, one.can_ids, whole.channel)
+        where = (remedy_of("intruder"), one.begin_ns, one.can_ids, whole.channel)
         findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in senders for can_id in other.can_ids}
     for mixed in cars:
-        remedy = "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus"
-        where = (mixed.begin_ns, remedy, mixed.can_ids, whole.channel)
+        where = (remedy_of("second_car"), mixed.begin_ns, mixed.can_ids, whole.channel)
         findings.append(Finding("problem", "intruder", mixed.sentence, *where))
         shared |= set(VCU_IDS)
     absent = set() if record.ai_speaks else set(AI_IDS)
@@ -298,9 +297,9 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             found.append((int(t_ns[rows[0]]), "restart", words, len(rows)))
     for kind in ("torque-limit", "go", "restart"):
         for begin_ns, _, words, count in sorted(each for each in found if each[1] == kind)[:1]:
-            remedy = CAUSES["vcu_reboot"].remedy if kind == "restart" else ""
+            remedy = remedy_of("vcu_reboot") if kind == "restart" else ""
             more = f", {count} times in all" if count > 1 else ""
-            yield Finding("note", kind, f"{words}{more}", begin_ns, remedy, channel=record.channel)
+            yield Finding("note", kind, f"{words}{more}", remedy, begin_ns, channel=record.channel)
 
 
 def _frozen(record: Record, part_ns: TimeRange, explanation: Explanation) -> Iterator[Finding]:
@@ -313,7 +312,7 @@ def _frozen(record: Record, part_ns: TimeRange, explanation: Explanation) -> Ite
     ]
     for span in found[:1]:
         more = f", {len(found)} times in all" if len(found) > 1 else ""
-        where = (span.begin_ns, CAUSES["status_frozen"].remedy, (STATUS,), record.channel)
+        where = (remedy_of("status_frozen"), span.begin_ns, (STATUS,), record.channel)
         text = f"{frozen_words(record, span)}: the VCU hung, or its 0x520 froze{more}"
         yield Finding("problem", "frozen", text, *where)
 
@@ -332,8 +331,8 @@ def _of_incident(incident: Incident) -> Finding:
         "problem",
         incident.kind.slug,
         f"{incident.what}, because {first.cause.words}",
-        incident.t_ns,
         first.cause.remedy,
+        incident.t_ns,
         tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),
     )
 
@@ -346,9 +345,8 @@ def _losing(bus: BusStatistics) -> Finding | None:
     lost = {message.can_id: message.lost for message in found}
     part = sum(lost.values()) / (bus.frames + sum(lost.values()))
     text = f"frames of {len(lost)} of {len(bus.messages)} messages are missing again and again, {part:.1%} of all"
-    remedy = "look why: the recording computer is too slow, the bus too full, or it has errors (fsai-vcu stats LOG)"
     grave = part > LOST_SHARE
-    where = (None, remedy, tuple(sorted(lost)), bus.channel)
+    where = (remedy_of("lossy"), None, tuple(sorted(lost)), bus.channel)
     return Finding("problem" if grave else "note", "lossy", text, *where)
 
 
@@ -369,9 +367,9 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
         within = min(b + length for b, length in zip(begins, lasts, strict=True)) - max(begins)
         return abs(begins[0] - begins[1]) <= AT_ONCE_NS or within > 0.5 * min(lasts)
 
-    for finding in judge(bus):
+    for finding in judge(bus, theirs=record.ai_is_theirs):
         if finding.kind == "error-frames" and len(record.error_ns):
-            errors = replace(finding, t_ns=int(record.error_ns[0]), remedy=CAUSES["bus_lost"].remedy)
+            errors = structs.replace(finding, t_ns=int(record.error_ns[0]), remedy=remedy_of("bus_lost"))
             continue
         if finding.kind == "unknown":
             unknown.append(finding)
@@ -391,11 +389,11 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
         ids = tuple(sorted(finding.can_ids[0] for finding in unknown))
         named = ", ".join(f"0x{can_id:03X}" for can_id in ids[:MOST_NAMED]) + (" …" if len(ids) > MOST_NAMED else "")
         first = min(unknown, key=lambda finding: finding.t_ns or 0)
-        yield replace(first, text=f"{len(ids)} identifiers are in no database: {named}", can_ids=ids)
+        yield structs.replace(first, words=f"{len(ids)} identifiers are in no database: {named}", can_ids=ids)
     for pause in pauses:
         ids = tuple(sorted(finding.can_ids[0] for finding in pause))
         worst = min(pause, key=lambda finding: finding.severity != "problem")
-        text, begin_ns = pause[0].text, pause[0].t_ns
+        text, begin_ns = pause[0].words, pause[0].t_ns
         if len(pause) >= MANY:
             # While all of them were missing: before and after it a slow message has no turn.
             spans = [(finding.t_ns or 0, round(gaps[finding.can_ids[0]] * MS)) for finding in pause]
@@ -407,11 +405,10 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
             text = f"a pause of {shared_ns / MS:.0f} ms of {_whose(ids, len(bus.messages))}"
             if len(ids) == len(bus.messages):
                 if errors is not None and 0 <= (errors.t_ns or 0) - (begin_ns or 0) <= shared_ns:
-                    worst, text, errors = errors, f"{text.partition(':')[0]}, and {errors.text}", None
+                    worst, text, errors = errors, f"{text.partition(':')[0]}, and {errors.words}", None
                 elif worst.remedy:
-                    held_up = "look whether the recording computer was held up"
-                    worst = replace(worst, remedy=f"{held_up}; {CAUSES['bus_lost'].remedy}")
-        yield replace(worst, text=text, t_ns=begin_ns, can_ids=ids)
+                    worst = structs.replace(worst, remedy=f"{remedy_of('recorder')}; {remedy_of('bus_lost')}")
+        yield structs.replace(worst, words=text, t_ns=begin_ns, can_ids=ids)
     if errors is not None:
         yield errors
 
@@ -431,7 +428,8 @@ def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
             last_s = max(m.last_s for m in lost)
             with_it = [m.can_id for m in bus.messages if abs(m.last_s - last_s) * S < WITH_IT_NS]  # its other devices
             gone = tuple(sorted({*silent, *with_it}))
-            where = (round(last_s * S), CAUSES[cause].remedy if active else "", gone, bus.channel)
+            remedy = remedy_of(cause, theirs=record.ai_is_theirs) if active else ""
+            where = (remedy, round(last_s * S), gone, bus.channel)
             yield Finding("problem" if active else "note", "stopped", text, *where)
 
 

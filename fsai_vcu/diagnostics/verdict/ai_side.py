@@ -13,8 +13,9 @@ import numpy as np
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import TimeRange
 from fsai_vcu.diagnostics.explain.record import Record, Series
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
-from fsai_vcu.diagnostics.statistics.measure import Finding
+from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS, S
@@ -42,8 +43,8 @@ def mistakes(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
     yield from _torque_with_brake(record, part_ns)
 
 
-def _problem(record: Record, kind: str, text: str, t_ns: int, remedy: str, *can_ids: int) -> Finding:
-    return Finding("problem", kind, text, t_ns, remedy, can_ids, record.channel)
+def _problem(record: Record, kind: str, words: str, t_ns: int, *can_ids: int) -> Finding:
+    return Finding("problem", kind, words, remedy_of(kind), t_ns, can_ids, record.channel)
 
 
 def _driving(record: Record, times: Ints, part_ns: TimeRange) -> Mask:
@@ -70,8 +71,7 @@ def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
         f" goes from {angle[first] - went[first]:.1f} to {angle[first]:.1f} deg; so {against.sum() / rows.sum():.0%} of"
         " the time"
     )
-    remedy = "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523"
-    yield _problem(record, "steering-sign", text, int(times[first]), remedy, 0x513, 0x523)
+    yield _problem(record, "steering-sign", text, int(times[first]), 0x513, 0x523)
 
 
 def _wrong_axle(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
@@ -91,8 +91,7 @@ def _wrong_axle(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             f"{share:.0%} of the torque is asked of an axle that has none to give ({asked_of.name}"
             f" {asked.values[first]:.1f} Nm, {most_of.name} 0){half}"
         )
-        remedy = "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0"
-        yield _problem(record, "axle", text, int(times[first]), remedy, can_id)
+        yield _problem(record, "axle", text, int(times[first]), can_id)
 
 
 def _never_running(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
@@ -106,8 +105,7 @@ def _never_running(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             continue
         words = sig.label(sig.MISSION_STATUS, float(heard.values[-1]))
         text = f"MISSION_STATUS never becomes RUNNING in AS_DRIVING: it stays {words}"
-        remedy = "say RUNNING as soon as AS_STATE is AS_DRIVING, and not before"
-        yield _problem(record, "never-running", text, begin_ns, remedy, 0x510)
+        yield _problem(record, "never-running", text, begin_ns, 0x510)
         return
 
 
@@ -137,8 +135,7 @@ def _torque_with_brake(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             )
         else:
             text = f"torque and brake are asked for together, {often}, for up to {lasted_ns[rows].max() / MS:.0f} ms"
-        remedy = "send a whole cycle with both at zero between torque and brake, either way"
-        yield _problem(record, kind, text, first, remedy, 0x511, 0x512, 0x514)
+        yield _problem(record, kind, text, first, 0x511, 0x512, 0x514)
 
 
 def _most(of: list[Series], times: Ints) -> np.ndarray:

@@ -31,7 +31,7 @@ from fsai_hil.evidence.mutation.mutants import Mutant, Walk
 CORE: Final = CHECKOUT / "fsai_vcu" / "core"
 MODULES: Final = {
     f"fsai_vcu.core.supervision.{name}": CORE / "supervision" / f"{name}.py"
-    for name in ("supervisor", "gate", "plausibility", "readiness", "wheel_speeds", "changes")
+    for name in ("supervisor", "gate", "plausibility", "readiness", "start_conditions", "wheel_speeds", "changes")
 }
 """What is mutated."""
 

@@ -1,0 +1,208 @@
+"""What to do about whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
+
+Where the AI computer's frames are not this software's (`theirs`), a remedy speaks of your AI computer: its commands,
+services and logs are not ours to name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+_CAR_RESTART: Final = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
+_MOVE_STEERING: Final = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
+_TURN_WHEELS: Final = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
+_SEE_FAULT: Final = "see in 0x520 which fault it is (fsai-vcu explain LOG names it), and put that right first"
+_SENDER: Final = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
+_BETWEEN: Final = "send a whole cycle with both at zero between torque and brake, either way"
+
+REMEDIES: Final[Mapping[str, str]] = {
+    # Causes of an emergency brake, of a stop, and of a car that does not start (explain/causes.py has their words)
+    "ai_computer_request": (
+        f"find out why the AI computer asked, then {_CAR_RESTART}; the software's latch is cleared by /reset "
+        "in AS_OFF or by "
+        "that power cycle"
+    ),
+    "hvil_open": "tractive system off, then look for a high-voltage connector or cover that is not closed",
+    "hvil_short": "tractive system off, then check the interlock loop for a short circuit to its supply or to ground",
+    "ebs_fault": (
+        "check EBS air pressure and valves (accumulators, 0x301 on 2026 cars), then power-cycle for a new EBS test"
+    ),
+    "offboard_charger": "unplug the charger, close its socket, power-cycle",
+    "ai_comms_lost": (
+        "check that the AI computer runs and its CAN plug sits, then the load of its processor (fsai-vcu check LOG)"
+    ),
+    "neutral_while_moving": (
+        "keep FORWARD until all wheels have been under 10 rpm for 0.5 s; brake with 0x514, not with NEUTRAL"
+    ),
+    "finished_while_moving": "say FINISHED only when all wheels have been under 10 rpm for 0.5 s",
+    "charge_procedure": "end charging in the order of the manual, unplug, power-cycle",
+    "bms": ("read the BMS (cell voltages and temperatures, current) before driving again; charge or cool the battery"),
+    "torque_with_brake": (
+        "send a whole cycle with both at zero between torque and brake; a safety gate must let the brake win"
+    ),
+    "asms_off": f"nothing is broken: leave ASMS on until the car has finished; {_CAR_RESTART}",
+    "tsms_off": f"nothing is broken: leave TSMS on until ASMS is off; {_CAR_RESTART}",
+    "go_off": "leave Go on for the whole run; if nobody touched it, check the remote's battery, range and receiver",
+    "remote_estop": f"release it when the reason is gone; {_CAR_RESTART}",
+    "radio_lost": "check the remote's battery, antenna and distance; test the range before the next run",
+    "sdc_open": (
+        f"look which button is pressed, at the remote, the crash sensor and the dongle; put it right; {_CAR_RESTART}"
+    ),
+    "brake_request_simulator": (
+        "against the official simulator hold and stop by torque with a low MOTOR_SPEED_MAX (service_brake: "
+        "motor), and keep 0x514 at zero"
+    ),
+    "before_the_log": "look at what was before, or record from power-up on",
+    "unknown": f"{_CAR_RESTART}; record the next run whole",
+    "planned_end": (
+        f"nothing: static inspection B and the autonomous demo end like this; for the next mission {_CAR_RESTART}"
+    ),
+    "not_on_the_bus": "look in the software's own log for the emergency's cause",
+    "vcu_silent": "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
+    "wheels_stale": "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); else compare it with 0x526",
+    "steering_stale": "check why 0x523 stopped: steering controller, VCU, wiring",
+    "steering_implausible": _MOVE_STEERING,
+    "wheel_implausible": _TURN_WHEELS,
+    "intruder": (
+        "only one program may send 0x510 to 0x514: stop the other one (a second stack, canplayer, a script, a "
+        "logger that replays)"
+    ),
+    "loop_fault": "look what kept the processor busy; real-time priority and CPU load of the AI computer",
+    "bus_lost": "check CAN plugs, termination and bit rate; ip -details link show can0",
+    "stop_ineffective": "check the service brake: pressure in 0x524 against the request, air, pads",
+    "command_stale": "look why planner or controller fell silent: their logs, cones seen, CPU load",
+    "fault_status": _SEE_FAULT,
+    "as_switch_off": "ask who switched ASMS off; else check the switch and its wiring",
+    "ts_switch_off": "ask who switched TSMS off; else check the switch and its wiring",
+    "shutdown_requested": "ask who switched the car off; else check TSMS and LVMS",
+    "fault_bit": _SEE_FAULT,
+    "shutdown_cause": _SEE_FAULT,
+    "state_fault": "look at what it names: EBS (air pressure, 0x301), tractive system (battery, HVIL), the VCU",
+    "ami_changed": "leave the display alone once the car is in AS_READY; else look for a second sender of 0x520",
+    "sequence_short": "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
+    "not_seen": "start the software before the car leaves AS_OFF, then start anew from AS_OFF",
+    "no_mission": "choose the mission on the display",
+    "as_state_unknown": "compare the VCU's interface revision with the database; look for a second sender of 0x520",
+    "vcu_reboot": "check its supply: low-voltage battery, LVMS, connectors",
+    "vcu_hung": "check the VCU's supply and connectors; if it happens again have its software looked at",
+    "status_frozen": (
+        "have the VCU's software looked at; look for a gateway or a replay that repeats old frames; where it "
+        "has been so from the first frame on, see whether the VCU hears the AI computer (its CAN plug)"
+    ),
+    "frames_wrong": "look for a second sender of 0x520 (a simulator, a replay); else have the VCU's software looked at",
+    "ai_silent": (
+        "the program ended or hung, its adapter went bus-off, or its CAN plug or power went: look at its log "
+        "(journalctl -b -u 'fsai-bridge@*'), at ip -details -statistics link show can0, and at the plug"
+    ),
+    "ai_message_missing": "send all five of 0x510 to 0x514 every 10 ms: ten missing in a row stop the car",
+    "ai_message_length": "send 0x510 with 8 bytes, 0x511 and 0x512 with 4, 0x513 and 0x514 with 2",
+    "handshake_lost": "send back in 0x510 the HANDSHAKE bit of the last 0x520, in every cycle",
+    "ai_unheard": (
+        "the fault lies between this log's plug and the VCU: wiring, termination, the VCU's own plug; where the"
+        " VCU is simulated, its computer may have been too busy"
+    ),
+    "not_selected_simulator": "keep RUNNING while driving, then FINISHED at rest",
+    "not_driven": (
+        "see what the planner says: no cones, no path among them, or another mission than this track's "
+        "(fsai-vcu status: why not driving)"
+    ),
+    "stop_asked": "look in the software's own log for the stop's cause",
+    "power_off": "switch off in the order ASMS, TSMS, LVMS, after the car has stopped",
+    "no_ai_data": "start the bridge on this bus (2021: AIMS on), and check its CAN plug",
+    "ai_data_incomplete": "send all five of 0x510 to 0x514 every 10 ms: the VCU waits for valid data",
+    "link_lost": "see the handshake and gaps above; fsai-vcu check LOG measures them",
+    "asms": "turn ASMS on",
+    "tsms": "turn TSMS on",
+    "ts_not_running": "check TSMS, the shutdown circuit (E-stops, dongle, remote) and the battery",
+    "ebs_not_armed": "check the shutdown circuit (E-stops, dongle, remote) and the EBS air pressure; ASMS must be on",
+    "status_not_selected": "fsai-vcu status says what it waits for; fsai-vcu mode autonomous",
+    "status_running": "send SELECTED in AS_OFF and AS_READY, and RUNNING only once AS_DRIVING is seen",
+    "status_finished": "reset the mission state in AS_OFF and say SELECTED",
+    "estop_latched": "clear it by /reset in AS_OFF, after its cause is gone",
+    "power_cycle": (
+        "ASMS, TSMS and LVMS off, and on again: 2026 cars need it after every mission, all after an emergency brake"
+    ),
+    "fault": _SEE_FAULT,
+    "op_fault": "look at the other faults that 0x520 names; TSMS and LVMS off and on again",
+    "shutting_down": "TSMS was turned off: let it shut down, then LVMS off and on",
+    "steering_inactive": "check that ASMS is on and the tractive system runs; then the steering controller's fault",
+    "brakes_not_ready": "check the brake controller; power-cycle",
+    "go_held": "Go off and on again",
+    "torque_requested": "send zero torque in 0x511 and 0x512 until AS_DRIVING",
+    "steering_requested": "send STEER_REQUEST 0 until AS_DRIVING",
+    "steering_turned": "straighten the wheels; check the angle sensor",
+    "direction_not_neutral": "send NEUTRAL until AS_DRIVING, then FORWARD",
+    "ready_not_selected": "send SELECTED until AS_DRIVING is seen",
+    "vcu_unheard": "LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)",
+    "braked": f"put its cause right, then {_CAR_RESTART}",
+    "no_go": "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)",
+    "go_too_early": "Go off, wait until the ASSI shows yellow and blue, Go on again",
+    "given_up": "turn ASMS on to start anew",
+    "start_unknown": "look at the display and the ASSI; EBS test and shutdown circuit are not all on the bus",
+    "status_length": "compare the VCU's interface revision with the database",
+    "no_as_state": "use the car's own (no --dbc), or --revision",
+    "torque_not_given": (
+        "check inverter and motor faults and the tractive system's voltage; compare TRQ_MAX in 0x521 and 0x522"
+    ),
+    "torque_unasked": (
+        "do not drive: press an E-stop, then have inverter and torque request looked at with the car on stands"
+    ),
+    "no_motion": (
+        "check that the brakes are released and drive shafts and coupling are whole; then the wheel-speed sensors"
+    ),
+    "brake_not_following": "do not drive: check air, brake fluid and the pressure sensor by static inspection A",
+    "brake_unasked": "check that the EBS is not triggered, and the pressure sensors and valves",
+    "steering_not_following": _MOVE_STEERING,
+    "wheel_unlike": _TURN_WHEELS,
+    # Kinds of findings on a log (verdict/)
+    "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
+    "missing": _SENDER,
+    "gap": _SENDER,
+    "stopped": _SENDER,
+    "echo": "send back in 0x510 the HANDSHAKE bit of the last 0x520 as it is, in every cycle",
+    "handshake": "look at the load of the AI computer and of the bus, and at the log of vcu_bridge",
+    "pulses_stand": "check the pulse sensor of that wheel, and its plug",
+    "wrong-length": "find who sends it, and see whether --revision is the car's",
+    "remote_frames": "find who sends them: only the AI computer may use 0x510 to 0x514, and it asks for nothing",
+    "reserved": "end the program on this computer that sends it",
+    "period": "see whether --revision is the car's, whether somebody else sends it too, or its sender is held up",
+    "second_car": "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus",
+    "lossy": "look why: the recording computer is too slow, the bus too full, or it has errors (fsai-vcu stats LOG)",
+    "recorder": "look whether the recording computer was held up",
+    "steering-sign": "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523",
+    "axle": "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0",
+    "never-running": "say RUNNING as soon as AS_STATE is AS_DRIVING, and not before",
+    "one-call": _BETWEEN,
+    "torque-brake": _BETWEEN,
+}
+
+_THEIRS: Final[Mapping[str, str]] = {
+    "ai_computer_request": (
+        f"find out from your AI computer's log why it asked, then {_CAR_RESTART}; have it take ESTOP_REQUEST back"
+    ),
+    "loop_fault": "look what kept the processor of your AI computer busy",
+    "command_stale": "look in the log of your AI computer why it asked for nothing any more",
+    "not_seen": "start your AI computer before the car leaves AS_OFF, then start anew from AS_OFF",
+    "not_on_the_bus": "look in the log of your AI computer for what made it ask",
+    "ai_silent": (
+        "your AI computer's program ended or hung, its adapter went bus-off, or its CAN plug or power went: look at its"
+        " log, at the state of its CAN interface, and at the plug"
+    ),
+    "stop_asked": "look in the log of your AI computer why it stopped the car",
+    "not_driven": "see in the log of your AI computer what it waits for, and whether its mission is the car's",
+    "no_ai_data": "start your AI computer on this bus (2021: AIMS on), and check its CAN plug",
+    "status_not_selected": "have your AI computer say SELECTED once it has the mission of AMI_STATE and is ready",
+    "estop_latched": "have your AI computer take ESTOP_REQUEST back in AS_OFF, after its cause is gone",
+    "brake_request_simulator": (
+        "against the official simulator your AI computer holds and stops by torque with a low MOTOR_SPEED_MAX, and"
+        " keeps 0x514 at zero"
+    ),
+    "handshake": "look at the load of your AI computer and of the bus, and at its log",
+}
+"""The same where the AI computer's frames are not this software's."""
+
+
+def remedy_of(slug: str, *, theirs: bool = False) -> str:
+    """What to do about a cause or a kind of finding; empty where nothing is to be done."""
+    return (theirs and _THEIRS.get(slug)) or REMEDIES.get(slug, "")
