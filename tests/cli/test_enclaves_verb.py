@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
@@ -96,17 +97,17 @@ def readable_by(account: tuple[int, tuple[int, ...]], keys: list[Path]) -> set[s
     read_end, write_end = os.pipe()
     child = os.fork()
     if child == 0:
-        user, groups = account
-        os.setgroups(groups)
-        os.setgid(groups[0] if groups else user)
-        os.setuid(user)
-        for key in keys:
-            try:
-                key.read_bytes()
-            except PermissionError:
-                continue
-            os.write(write_end, f"{key.parent.name}\n".encode())
-        os._exit(0)
+        try:  # whatever happens, it must not go on as a second pytest
+            user, groups = account
+            os.setgroups(groups)
+            os.setgid(groups[0] if groups else user)
+            os.setuid(user)
+            for key in keys:
+                with suppress(PermissionError):
+                    key.read_bytes()
+                    os.write(write_end, f"{key.parent.name}\n".encode())
+        finally:
+            os._exit(0)
     os.close(write_end)
     with os.fdopen(read_end) as pipe:
         found = set(pipe.read().split())

@@ -32,8 +32,12 @@ def test_an_ordinary_user_is_told_why_no_chroot_is_made() -> None:
     known = runpy.run_path(str(SCRIPT))["hindrance"]
     child = os.fork()
     if child == 0:
-        os.setuid(65534)
-        os._exit(0 if "made by root" in known() else 1)
+        status = 1
+        try:  # whatever happens, it must not go on as a second pytest
+            os.setuid(65534)
+            status = 0 if "made by root" in known() else 1
+        finally:
+            os._exit(status)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
