@@ -27,6 +27,11 @@ def test_what_is_no_trial_is_refused_before_anything_is_made() -> None:
         assert done.returncode == 2 and words[-1] in done.stderr
 
 
+def test_help_says_what_may_be_tried() -> None:
+    done = fresh_machine("--help")
+    assert done.returncode == 0 and "scripts/fresh-machine --list" in done.stdout
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
 def test_an_ordinary_user_is_told_why_no_chroot_is_made() -> None:
     known = runpy.run_path(str(SCRIPT))["hindrance"]
