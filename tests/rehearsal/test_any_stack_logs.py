@@ -49,7 +49,7 @@ def verdict_on(
 
 
 def said(verdict: Verdict) -> str:
-    return "\n".join(f"{one.severity}: {one.text}" for one in verdict.findings)
+    return "\n".join(f"{one.severity}: {one.words}" for one in verdict.findings)
 
 
 def negated_angle(frame: Frame) -> Frame:
@@ -109,5 +109,5 @@ def test_a_swapped_sign_of_steering_is_named(library: Path) -> None:
 
 def test_boxes_that_are_not_on_the_bus_are_one_short_note(library: Path) -> None:
     verdict = verdict_on(CNode(library), "messages")
-    (absent,) = (one.text for one in verdict.findings if one.kind == "missing")
+    (absent,) = (one.words for one in verdict.findings if one.kind == "missing")
     assert "15 messages of PCAN_GPS" in absent and len(absent) < 150
