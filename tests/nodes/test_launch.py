@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -159,3 +160,13 @@ def test_each_executable_lies_where_ros2_run_looks() -> None:
     folder = Path(sys.prefix, "lib", "fsai_nodes")
     assert {*composed.CLASSES, "composed", "ackermann_adapter"} == {each.name for each in folder.iterdir()}
     assert all(os.access(each, os.X_OK) for each in folder.iterdir())
+
+
+def test_arguments_of_launch_in_the_documentation_exist() -> None:
+    pages = [*CHECKOUT.glob("*.md"), *CHECKOUT.glob("docs/*.md"), *CHECKOUT.glob("nodes/*.md")]
+    lines = [(page.name, line) for page in pages for line in page.read_text().replace("\\\n", " ").splitlines()]
+    commands = [(page, line) for page, line in lines if re.search(r"(launch fsai_nodes|fsai_nodes\.launch) ", line)]
+    written = {(page, name) for page, line in commands for name in re.findall(r"\b([a-z_]+):=", line)}
+    assert ("computers.md", "can_interface") in written
+    known = {each.name for each in arguments()}
+    assert {(page, name) for page, name in written if name not in known} == set()
