@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,7 @@ from fsai_hil.rehearsal.scrutineering.machine import (
     source_revision,
     versions,
 )
+from fsai_hil.rehearsal.scrutineering.measurement import Measurement
 from fsai_hil.rehearsal.stack import Stack, StackError, await_condition
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.errors import WrongUse
@@ -61,10 +63,11 @@ def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> Non
     with Stack("vcan0", tmp_path) as stack:
         with loaded(stack, condition, disk_file, 0.0):
             processes = list(stack.processes.values())
-            assert len(processes) == (machine()["processors"] + 1)
+            busy = [process.popen.pid for process in processes if "processor" in process.name]
+            assert len(busy) == machine()["processors"] == len(processes) - 1
 
             def cpu_ticks() -> int:
-                path = Path(f"/proc/{processes[0].popen.pid}/stat")
+                path = Path(f"/proc/{busy[0]}/stat")
                 return int(path.read_text().split()[13])
 
             before = cpu_ticks()
@@ -163,3 +166,17 @@ def test_scheduling_is_read_from_the_kernel(tmp_path: Path) -> None:
 
 def test_the_source_is_a_commit_or_nothing(tmp_path: Path) -> None:
     assert source_revision(tmp_path) == ""
+
+
+def test_a_load_that_is_not_at_work_in_time_costs_its_own_condition(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(load, "_START_S", 0.0)
+    condition = Condition("idle-memory", AsState.AS_OFF, (Load.MEMORY,))
+    measurement = Measurement("vcan0", tmp_path, seconds=1.0, revision="2021", slow_place=True)
+    with Stack("vcan0", tmp_path) as stack:
+        measurement._stack, measurement._car = stack, stack.start("car", [sys.executable, "-c", "input()"])
+        measurement._try_to_measure(condition, (), lambda: ("", ""))
+        assert list(stack.processes) == ["car"]
+    assert "not measured: waited 0 s in vain: load-1-memory-idle-memory" in capfd.readouterr().out
+    assert list(measurement._not_measured) == ["idle-memory"]

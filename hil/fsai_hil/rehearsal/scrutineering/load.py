@@ -21,7 +21,7 @@ from selectors import EVENT_READ, DefaultSelector
 from typing import Final
 
 from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load
-from fsai_hil.rehearsal.stack import Stack
+from fsai_hil.rehearsal.stack import Stack, StackError
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 
 BUS_BITS_PER_S: Final = 500_000  # the car's bus
@@ -39,6 +39,10 @@ BUSY: Final = "load: at work"
 _START_S = 60.0
 _PIT_WALL_START_S = 120.0  # it imports ROS, on one slow processor
 _SIMULATED = (Flow.TO_VCU, Flow.FROM_VCU, Flow.FROM_SENSOR)
+
+
+class LoadNotStarted(StackError):
+    """A load does not work in time: beside this stack its process gets too little of the machine."""
 
 
 def frame_bits(length: int) -> int:
@@ -66,7 +70,9 @@ def fill_frames_per_s(car_bits: float) -> float:
 def loaded(
     stack: Stack, condition: Condition, disk_file: Path, car_bits: float, *, force_disk: bool = True
 ) -> Iterator[None]:
-    """The condition's load, while inside; returns once it works. Raises StackError when it does not.
+    """The condition's load, while inside; returns once it works.
+
+    Raises LoadNotStarted when it does not work in time, StackError when it ends while it should work.
 
     force_disk: each block is forced onto the disk. (In User-Mode Linux that stops the whole inner kernel meanwhile.)
     """
@@ -76,28 +82,36 @@ def loaded(
         names.append(f"load-{len(names) + 1}-{kind}-{condition.name}")
         stack.start(names[-1], argv)
 
+    def await_last(words: str, most_s: float = _START_S) -> None:
+        try:
+            stack.processes[names[-1]].await_log(words, most_s)
+        except StackError as error:
+            raise LoadNotStarted(str(error)) from error
+
     try:
         own = (sys.executable, "-m", __name__)
-        if Load.PROCESSORS in condition.load:
-            for _ in range(os.cpu_count() or 1):
-                start("processor", *own, "processor")
+        # The processors come last: beside them a process that has yet to import its modules does not get far.
         if Load.MEMORY in condition.load:
             start("memory", *own, "memory", str(MEMORY_MOST_BYTES))
+            await_last(BUSY)
         if Load.DISK in condition.load:
             start("disk", *own, "disk" if force_disk else "file", str(disk_file))
-        for name in names:
-            stack.processes[name].await_log(BUSY, _START_S)
+            await_last(BUSY)
         if {Load.PIT_WALL, Load.PIT_WALL_ROS} & {*condition.load}:
             ros = ["--ros"] if Load.PIT_WALL_ROS in condition.load else []
             start("pitwall", sys.executable, "-m", "fsai_vcu.cli.main", "pitwall", stack.bus, "--port", "0", *ros)
-            stack.processes[names[-1]].await_log(" shows ", _PIT_WALL_START_S)
+            await_last(" shows ", _PIT_WALL_START_S)
             (port,) = re.findall(r":(\d+) shows ", stack.processes[names[-1]].log())
             start("viewers", *own, "viewers", port)
-            stack.processes[names[-1]].await_log(BUSY, _START_S)
+            await_last(BUSY)
         if Load.BUS in condition.load and (rate := fill_frames_per_s(car_bits)):
             gap_ms = f"{1000.0 * FILL_BURST / rate:.4f}"
             what = ("-I", f"{FILL_ID:X}", "-L", str(FILL_BYTES), "-D", "A5" * FILL_BYTES)
             start("bus", "cangen", stack.bus, "-g", gap_ms, "-c", str(FILL_BURST), *what, "-i")
+        if Load.PROCESSORS in condition.load:
+            for _ in range(os.cpu_count() or 1):
+                start("processor", *own, "processor")
+                await_last(BUSY)
         stack.check_alive(*names)
         yield
         stack.check_alive(*names)

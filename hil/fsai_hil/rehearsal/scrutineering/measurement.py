@@ -28,7 +28,7 @@ from typing import Any
 from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, conditions_named
-from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
+from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, LoadNotStarted, car_bits_per_s, loaded
 from fsai_hil.rehearsal.scrutineering.machine import machine, scheduling_of
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack, StackError, await_condition
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
@@ -77,6 +77,7 @@ class Measurement:
         self._cars = 0
         self._car: RunningProcess | None = None
         self._found: dict[str, dict[str, Any]] = {}  # by the condition's name
+        self._not_measured: dict[str, str] = {}  # by it too, and why
         self._lost_between = 0
         self._windows: dict[str, tuple[int, int]] = {}  # begin and end by the wall clock, as candump stamps
         self._stack: Stack
@@ -116,7 +117,7 @@ class Measurement:
         for number, load in enumerate(loads, start=1):
             condition = Condition(_of_peer(load), AsState.AS_OFF, load)
             _say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
-            self._measure(condition, (_PEER,), lambda: (_state_of(car), ""))
+            self._try_to_measure(condition, (_PEER,), lambda: (_state_of(car), ""))
         self._end_car()
         self._lost_between = 0  # what follows is the bridge's
         peer.stop()
@@ -127,7 +128,6 @@ class Measurement:
         self._stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = self._operator = RosOperator(self._stack, "scrutineer")
         out_of_reach: dict[AsState, str] = {}
-        not_measured: dict[str, str] = {}  # what has been measured is worth its report all the same
         try:
             operator.await_bridge(START_S)
             for number, condition in enumerate(conditions, start=1):
@@ -137,14 +137,15 @@ class Measurement:
                         self._reach(condition.car)
                 except StackError as error:
                     out_of_reach[condition.car] = str(error).splitlines()[0]
-                if why := out_of_reach.get(condition.car):
-                    not_measured[condition.name] = why
-                    _say(f"    not measured: {why}")
+                why = out_of_reach.get(condition.car) or self._not_measured.get(_of_peer(condition.load))
+                if why:
+                    self._leave_out(condition, why)
                     continue
                 watched = NODES if set(NODES) <= set(self._stack.processes) else ("vcu_bridge",)
-                self._measure(condition, watched, lambda: _state(operator))
+                self._try_to_measure(condition, watched, lambda: _state(operator))
+            not_measured = {each.name: why for each in conditions if (why := self._not_measured.get(each.name))}
             if len(not_measured) == len(conditions):
-                raise StackError(next(iter(out_of_reach.values())))
+                raise StackError(next(iter(not_measured.values())))
             pids = {"CAN loop": holder_pid(self._bus), "vcu": self._car and self._car.popen.pid}
             scheduling = {name: scheduling_of(pid) for name, pid in pids.items() if pid}
             self._end_car()
@@ -251,6 +252,19 @@ class Measurement:
         self._end_log()
 
     # ------------------------------------------------------------ one condition
+
+    def _leave_out(self, condition: Condition, why: str) -> None:
+        """What has been measured is worth its report all the same."""
+        self._not_measured[condition.name] = why
+        _say(f"    not measured: {why}")
+
+    def _try_to_measure(
+        self, condition: Condition, watched: Sequence[str], state: Callable[[], tuple[str, str]]
+    ) -> None:
+        try:
+            self._measure(condition, watched, state)
+        except LoadNotStarted as error:
+            self._leave_out(condition, str(error).splitlines()[0])
 
     def _measure(self, condition: Condition, watched: Sequence[str], state: Callable[[], tuple[str, str]]) -> None:
         """`watched`: processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
