@@ -36,6 +36,9 @@ setup:  ## .venv with everything in it; installs system packages when root, else
 test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	@scripts/test
 
+test-long: setup-for-tests  ## the tests that take long and repeat in full what make test shows in short; minutes
+	FSAI_LONG_TESTS=1 $(BIN)/pytest -q -n auto -m long --ignore=tests/hil tests
+
 humble: setup-for-tests  ## the nodes' tests on rclpy reduced to what Humble's has; minutes
 	PYTHONPATH=$(CURDIR)/tests/nodes/humble $(BIN)/pytest -q tests/nodes
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # pytest writes each test module anew, with words for its assertions, and every worker does so for all of them: what it
@@ -13,6 +15,19 @@ sys.dont_write_bytecode = False
 
 # A shell that starts pytest in the background lets it ignore Ctrl-C, and every program that is tested.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "long: only with FSAI_LONG_TESTS=1 (make test-long, fsai-vcu hil --all)")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """What takes long and repeats in full what another test shows in short has a run of its own."""
+    if "FSAI_LONG_TESTS" not in os.environ:
+        left_out = [item for item in items if item.get_closest_marker("long")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
+
 
 # How fast an example runs is the machine's affair.
 settings.register_profile("fsai-vcu", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -20,7 +20,7 @@ def case(fault: str, mission: Ami = Ami.ACCELERATION, after_ms: int = 3500, **pa
 
 
 def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
-    one = case("detector_inventing", Ami.AUTOCROSS, duration=800, count=12)  # chance of detector, planner and fault
+    one = case("detector_inventing", Ami.ACCELERATION, duration=800, count=12)  # chance of detector, planner and fault
     snapshots = Snapshots()
     copied = [Scenario(one, snapshots.rig(one), 1000) for _ in range(2)]
     rig = power_up(one.world)
@@ -54,6 +54,7 @@ def test_a_run_ends_early_once_nothing_can_happen_any_more() -> None:
     assert line["sim_s"] < 5.0
 
 
+@pytest.mark.long
 def test_a_full_length_run_goes_from_power_up_to_the_end() -> None:
     one = Case("go_off", Ami.AUTONOMOUS_DEMO, "2021", 0, Since.READY, 3000, {"chance": 0}, full=True)
     line = run_case(one, SNAPSHOTS)

@@ -45,14 +45,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(stall_monitor.stop)
         config.stash[STALL_MONITOR] = stall_monitor
         config.pluginmanager.register(Undisturbed(stall_monitor))
-    config.addinivalue_line("markers", "long: only with `fsai-vcu hil --all`: the suite itself is to stay short")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if "FSAI_HIL_ALL" not in os.environ:
-        left_out = [item for item in items if item.get_closest_marker("long")]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
     for item in items:
         if item.get_closest_marker("long"):
             item.add_marker(pytest.mark.timeout(0))  # the suite's own time limit holds

@@ -13,6 +13,7 @@ from fsai_hil.rehearsal import bench
 from fsai_hil.rehearsal.bench import NODE_START, QUICK, SPEED, bench_node, main, row, too_slow
 
 
+@pytest.mark.long
 def test_quick_prints_a_table_and_writes_every_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

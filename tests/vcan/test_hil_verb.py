@@ -64,9 +64,9 @@ def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlac
 def test_the_long_tests_are_asked_for_by_name_and_get_more_time(place: FakePlace, tmp_path: Path) -> None:
     assert main(["hil", "--results", str(tmp_path)]) == 0
     usual_s = place.options["timeout_s"]
-    assert "FSAI_HIL_ALL" not in place.options["env"]
+    assert "FSAI_LONG_TESTS" not in place.options["env"]
     assert main(["hil", "--all", "--results", str(tmp_path)]) == 0
-    assert place.options["env"]["FSAI_HIL_ALL"] == "1" and place.options["timeout_s"] == 6 * usual_s
+    assert place.options["env"]["FSAI_LONG_TESTS"] == "1" and place.options["timeout_s"] == 6 * usual_s
     assert pytest_arguments(place) == ["tests/hil"]
 
 

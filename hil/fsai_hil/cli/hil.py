@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         if own:
             env["FSAI_HIL_WITH"] = ",".join(own)
         if args.all or args.soak:
-            env["FSAI_HIL_ALL"] = "1"
+            env["FSAI_LONG_TESTS"] = "1"
         if args.soak is not None:
             env["FSAI_HIL_SOAK_MINUTES"] = f"{args.soak:g}"
         pace = {"pace": _PACE} if place.has_pace else {}
