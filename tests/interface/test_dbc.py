@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from cantools.database.can import Database, Message
 
-from fsai_vcu.interface.database import dbc_dir
+from fsai_vcu.interface.database import DatabaseError, check_bounds, dbc_dir
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -151,3 +152,27 @@ def test_the_pcan_gps_file_reads_in_the_encoding_of_dbc_files() -> None:
 def test_a_database_is_loaded_without_python_can() -> None:
     code = "import sys, fsai_vcu.interface.database; sys.exit('can' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"{'S' * 501} : 0|8@1+ (1,0) [0|0] ", "a name, a unit or a word of more than 500 characters"),
+        ("S : 0|8@1+ (1e31,0) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        (f"S : 0|8@1+ (1,-{'9' * 40}) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        ("S : 0|8@1+ (1e999,0) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        ("S : 0|8@1+ (1e-30,1e29) [-1e300|1e999] ", ""),
+    ],
+)
+def test_names_and_numbers_larger_than_any_real_one_are_refused(line: str, words: str) -> None:
+    database = Database()
+    database.add_dbc_string(f'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ {line}"" A\n\n')
+    with pytest.raises(DatabaseError, match=words) if words else nullcontext():
+        check_bounds(Path("x.dbc"), database)
+
+
+def test_a_node_without_a_name_is_refused() -> None:
+    """Which cantools reads from a KCD file."""
+    database = Database(messages=[Message(1, "M", 8, [], senders=[None])])  # type: ignore[list-item]
+    with pytest.raises(DatabaseError, match="without a name"):
+        check_bounds(Path("x.kcd"), database)
