@@ -126,6 +126,8 @@ def check_bounds(path: Path, database: Database) -> None:
     for message in database.messages:
         if message.length > _LONGEST_BYTES:
             raise DatabaseError(f"{path}: a message of more than {_LONGEST_BYTES} bytes")
+        if not 0 <= message.frame_id < 1 << 29:
+            raise DatabaseError(f"{path}: a message whose identifier has not 29 bits at most")
         _check_texts(path, message.name, *message.senders)
         for signal in message.signals:
             _check_texts(path, signal.name, signal.unit or "", *map(str, (signal.choices or {}).values()))

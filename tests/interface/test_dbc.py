@@ -171,8 +171,16 @@ def test_names_and_numbers_larger_than_any_real_one_are_refused(line: str, words
         check_bounds(Path("x.dbc"), database)
 
 
-def test_a_node_without_a_name_is_refused() -> None:
-    """Which cantools reads from a KCD file."""
-    database = Database(messages=[Message(1, "M", 8, [], senders=[None])])  # type: ignore[list-item]
-    with pytest.raises(DatabaseError, match="without a name"):
+@pytest.mark.parametrize(
+    ("can_id", "length", "sender", "words"),
+    [
+        (1, 8, None, "without a name"),
+        (-1, 8, "A", "identifier has not 29 bits"),
+        (1, 1786, "A", "a message of more than 1785 bytes"),
+    ],
+)
+def test_messages_that_no_bus_has_are_refused(can_id: int, length: int, sender: str | None, words: str) -> None:
+    """Which cantools reads from KCD files."""
+    database = Database(messages=[Message(can_id, "M", length, [], senders=[sender])])  # type: ignore[list-item]
+    with pytest.raises(DatabaseError, match=words):
         check_bounds(Path("x.kcd"), database)
