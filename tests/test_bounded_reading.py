@@ -10,6 +10,7 @@ import resource
 import select
 import signal
 import struct
+import sys
 import tempfile
 import time
 import zlib
@@ -30,7 +31,7 @@ from fsai_vcu.diagnostics.recorder.repair import repair_mcap
 from fsai_vcu.interface.database import load_database
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
-from fsai_vcu.runtime.bounded import BoundedError
+from fsai_vcu.runtime.bounded import BoundedError, Bounds, send_results
 from fsai_vcu.runtime.configuration import read_configuration
 from fsai_vcu.runtime.limits_file import read_limits
 
@@ -197,6 +198,23 @@ def test_a_list_in_an_mf4_that_never_ends_is_given_up(tmp_path: Path) -> None:
     path.write_bytes(in_a_circle(mf4_of(10, 0), b"##CG"))
     with pytest.raises(BoundedError, match="more memory or time than a file of its size"):
         in_little_memory(lambda: list(read_mf4(path, print, seconds=1)))
+
+
+def test_what_cannot_be_sent_is_said_and_not_sent_in_part() -> None:
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:  # whatever happens, it must not go on as a second pytest
+            sys.stdout = os.fdopen(write_end, "w")
+            bounds = Bounds(MEMORY_BYTES, 1, 10, 1.0)
+            send_results(Path(__file__), bounds, lambda send: send(["x" * MIB, lambda: None]))
+        finally:
+            os._exit(1)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as pipe:
+        end = pickle.load(pipe)
+    os.waitpid(child, 0)
+    assert "pickle" in end.why
 
 
 def test_an_mf4_with_less_than_it_announces_is_said_so(tmp_path: Path) -> None:

@@ -124,8 +124,8 @@ def check_bounds(path: Path, database: Database) -> None:
     Every frame of a log is taken apart by them: what is large here is large as many times as there are frames.
     """
     for message in database.messages:
-        if message.length > _LONGEST_BYTES:
-            raise DatabaseError(f"{path}: a message of more than {_LONGEST_BYTES} bytes")
+        if not 0 <= message.length <= _LONGEST_BYTES:
+            raise DatabaseError(f"{path}: a message of less than 0 or more than {_LONGEST_BYTES} bytes")
         if not 0 <= message.frame_id < 1 << 29:
             raise DatabaseError(f"{path}: a message whose identifier has not 29 bits at most")
         _check_texts(path, message.name, *message.senders)

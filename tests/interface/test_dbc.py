@@ -176,7 +176,8 @@ def test_names_and_numbers_larger_than_any_real_one_are_refused(line: str, words
     [
         (1, 8, None, "without a name"),
         (-1, 8, "A", "identifier has not 29 bits"),
-        (1, 1786, "A", "a message of more than 1785 bytes"),
+        (1, 1786, "A", "more than 1785 bytes"),
+        (1, -8, "A", "less than 0"),
     ],
 )
 def test_messages_that_no_bus_has_are_refused(can_id: int, length: int, sender: str | None, words: str) -> None:
