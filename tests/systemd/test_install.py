@@ -50,7 +50,9 @@ def test_a_version_over_another_is_as_if_installed_alone(tmp_path: Path) -> None
     shutil.rmtree(units / "fsai-link@.service.d")
     (version / "systemd/etc/fsai.toml").write_text("# theirs\n")
     (version / "systemd/tmpfiles/fsai.conf").unlink()  # it breaks off in the middle
+    (units / "fsai-given-up.service").touch()
     assert install_car("install", destination=car, script=script).returncode != 0
+    (units / "fsai-given-up.service").unlink()
     shutil.copy(CHECKOUT / "systemd/tmpfiles/fsai.conf", version / "systemd/tmpfiles")
     for destination in (car, fresh):
         assert install_car("install", destination=destination, script=script).returncode == 0
