@@ -68,7 +68,7 @@ def open_lock(path: Path | str) -> BinaryIO:
     except FileNotFoundError:
         pass
     except IsADirectoryError:
-        Path(path).rename(f"{path}.{time.time_ns()}")  # it may hold something
+        move_aside(path)
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.ELOOP, errno.EMLINK):
             raise
@@ -77,6 +77,11 @@ def open_lock(path: Path | str) -> BinaryIO:
         return os.fdopen(os.open(path, _NEW | os.O_RDWR, 0o644), "r+b")
     except FileExistsError:  # another program was quicker
         return open_found(path, write=True)
+
+
+def move_aside(path: Path | str) -> None:
+    """A folder in the place of a file gets another name: it may hold something."""
+    Path(path).rename(f"{path}.{time.time_ns()}")
 
 
 def bytes_on_disk(status: os.stat_result) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any, Final, TextIO
 
+LINE: Final = 500
+"""Most characters of a line that repeats what another program says; the project's nodes say less."""
 _FORMULA: Final = tuple("=+-@\t\r＝＋－＠")
 """What a spreadsheet takes for the beginning of a formula."""
 _OWN: Final = r"\x1b\[[0-9;]{0,20}m|\r?\x1b\[K"
@@ -14,11 +16,17 @@ _SPLIT: Final = re.compile(r"(\n|\t)")
 _SPLIT_WITH_OWN: Final = re.compile(rf"({_OWN}|\n|\t)")
 
 
-def printable(text: str) -> str:
-    """The text with what is no character to be seen, line ends too, as Python writes it: '\\x1b'."""
-    if text.isprintable():
-        return text
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+def printable(text: str, most: int | None = None) -> str:
+    """The text with what is no character to be seen, line ends too, as Python writes it: '\\x1b'.
+
+    most: characters; of a longer text the beginning is left, and its length.
+    """
+    shown = text[:most]
+    if not shown.isprintable():
+        shown = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in shown)
+    if most is None or (len(text) <= most and len(shown) <= 6 * most):
+        return shown
+    return f"{shown[:most]}… ({len(text)} characters)"
 
 
 def cell(text: str) -> str:

@@ -61,9 +61,16 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.foxglove": {f"{DIAGNOSTICS}.serving"},
     f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report", "serving")}
     | {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.stack": {"fsai_vcu.core", f"{DIAGNOSTICS}.finding"},
+    f"{DIAGNOSTICS}.stack": {"fsai_vcu.core", f"{DIAGNOSTICS}.finding", PRINTABLE},
     "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE, DIAGNOSTICS},
-    "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, f"{DIAGNOSTICS}.explain"},
+    "fsai_nodes": {
+        "fsai_vcu.core",
+        "fsai_vcu.interface",
+        "fsai_vcu.runtime",
+        FILES,
+        PRINTABLE,
+        f"{DIAGNOSTICS}.explain",
+    },
     "fsai_nodes.pitwall": {"fsai_nodes", "fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.monitor"},
     "fsai_nodes.recorder": {"fsai_nodes", "fsai_vcu.runtime", f"{DIAGNOSTICS}.export"},
     "fsai_nodes.sensor_simulator": {"fsai_nodes", "fsai_hil.simulator"},

@@ -10,6 +10,7 @@ import resource
 import select
 import signal
 import struct
+import sys
 import tempfile
 import time
 import zlib
@@ -30,7 +31,7 @@ from fsai_vcu.diagnostics.recorder.repair import repair_mcap
 from fsai_vcu.interface.database import load_database
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
-from fsai_vcu.runtime.bounded import BoundedError
+from fsai_vcu.runtime.bounded import BoundedError, Bounds, send_results
 from fsai_vcu.runtime.configuration import read_configuration
 from fsai_vcu.runtime.limits_file import read_limits
 
@@ -199,6 +200,23 @@ def test_a_list_in_an_mf4_that_never_ends_is_given_up(tmp_path: Path) -> None:
         in_little_memory(lambda: list(read_mf4(path, print, seconds=1)))
 
 
+def test_what_cannot_be_sent_is_said_and_not_sent_in_part() -> None:
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:  # whatever happens, it must not go on as a second pytest
+            sys.stdout = os.fdopen(write_end, "w")
+            bounds = Bounds(MEMORY_BYTES, 1, 10, 1.0)
+            send_results(Path(__file__), bounds, lambda send: send(["x" * MIB, lambda: None]))
+        finally:
+            os._exit(1)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as pipe:
+        end = pickle.load(pipe)
+    os.waitpid(child, 0)
+    assert "pickle" in end.why
+
+
 def test_an_mf4_with_less_than_it_announces_is_said_so(tmp_path: Path) -> None:
     path = tmp_path / "run.mf4"
     content = bytearray(mf4_of(10, 0))
@@ -252,6 +270,11 @@ def _merging_yaml() -> str:
     return "\n".join([*maps, "track: {left: [*a8]}"])
 
 
+def _expanding_xml(root: str) -> str:
+    entities = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 9}">' for n in range(1, 12))
+    return f'<?xml version="1.0"?><!DOCTYPE k [<!ENTITY a0 "x">{entities}]><{root}>&a11;</{root}>'
+
+
 TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
     "a class that expands": ("yaml", lambda: _expanding_yaml("track: {left: [{class: *a8, position: [1, 2]}]}")),
     "a place that expands": ("yaml", lambda: _expanding_yaml("track: {left: [{class: blue, position: *a8}]}")),
@@ -290,13 +313,21 @@ TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
             'name="M" length="8"><Signal name="S" offset="0" length="99999999"/></Message></Bus></NetworkDefinition>'
         ),
     ),
-    "entities": (
+    "a long message of KCD": (
         "kcd",
         lambda: (
-            '<?xml version="1.0"?><!DOCTYPE k [<!ENTITY a0 "x">'
-            + "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 9}">' for n in range(1, 12))
-            + "]><NetworkDefinition>&a11;</NetworkDefinition>"
+            '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Bus name="b"><Message id="0x1" '
+            'name="M" length="99999"><Signal name="S" offset="0" length="8"/></Message></Bus></NetworkDefinition>'
         ),
+    ),
+    "entities": ("kcd", lambda: _expanding_xml("NetworkDefinition")),
+    "entities of ARXML": ("arxml", lambda: _expanding_xml("AUTOSAR")),
+    "entities of CDD": ("cdd", lambda: _expanding_xml("CANDELA")),
+    "deep elements": ("arxml", lambda: "<AUTOSAR>" + "<a>" * 500_000),
+    "a long name": ("dbc", lambda: f'BU_: A\nBO_ 1 {"M" * 100_000}: 8 A\n SG_ S : 0|1@1+ (1,0) [0|0] "" A\n\n'),
+    "digits of a factor": (
+        "dbc",
+        lambda: f'BU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|1@1+ ({"9" * 399},0) [0|0] "" A\n\n',
     ),
 }
 READERS: dict[str, tuple[Callable[[Path], object], ...]] = {
@@ -305,6 +336,8 @@ READERS: dict[str, tuple[Callable[[Path], object], ...]] = {
     "dbc": (lambda path: load_databases([path]), lambda path: load_database([path])),
     "kcd": (lambda path: load_databases([path]),),
     "sym": (lambda path: load_databases([path]),),
+    "arxml": (lambda path: load_databases([path]),),
+    "cdd": (lambda path: load_databases([path]),),
     "toml": (read_configuration, read_limits),
     "log": (frames_and_problems,),
 }
@@ -330,7 +363,7 @@ def test_a_table_that_expands_is_refused_in_one_line(what: str, tmp_path: Path) 
     for line in said:
         assert str(path) in line and "\n" not in line and len(line) < 500 + len(str(path)), line[:1000]
     assert taken_s < 4 * LEAST_S
-    if what.startswith("a long"):
+    if what.startswith(("a long message", "a long signal")):
         assert all("1785 bytes" in line for line in said), said
 
 

@@ -6,13 +6,14 @@ import argparse
 import json
 import time
 from collections.abc import Collection
+from contextlib import suppress
 from typing import Any
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.services import operator_node
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.stack import TOPICS, Ends, StackWatch
-from fsai_vcu.printable import printable
+from fsai_vcu.printable import LINE, printable
 
 EXAMPLE = "fsai-vcu check-stack --seconds 20 && echo in order"
 ABOUT = "It only listens. Exit status: 0 nothing is wrong, 1 something is. Best while the car drives."
@@ -98,7 +99,8 @@ def by_clock(node: Any, names: Collection[str]) -> dict[str, bool]:
     for name, namespace in node.get_node_names_and_namespaces():
         if name in names:
             service = f"{namespace.rstrip('/')}/{name}/get_parameters"
-            clients.append((name, node.create_client(GetParameters, service)))
+            with suppress(RuntimeError):  # rclpy's, where DDS is encrypted and the keys do not permit it
+                clients.append((name, node.create_client(GetParameters, service)))
     until = time.monotonic() + _ANSWER_S
     while time.monotonic() < until and not (len(asked) == len(clients) and all(each.done() for each in asked.values())):
         for name, client in clients:
@@ -132,7 +134,15 @@ def watch(namespace: str, seconds: float, wait_s: float) -> StackWatch:
 
 
 def _as_dict(finding: Finding) -> dict[str, str]:
-    return {"topic": finding.kind, "wrong": finding.words, "to_do": finding.remedy}
+    return {"topic": _shown(finding.kind), "wrong": _shown(finding.words), "to_do": _shown(finding.remedy)}
+
+
+def _as_text(finding: Finding) -> str:
+    return f"/{_shown(finding.kind)}: {_shown(finding.words)}\n    {_shown(finding.remedy)}"
+
+
+def _shown(text: str) -> str:
+    return printable(text, LINE)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -143,11 +153,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"seconds": args.seconds, "rates_hz": rates, "wrong": [_as_dict(each) for each in wrong]}))
     elif wrong:
-        print(
-            "\n".join(
-                f"/{printable(each.kind)}: {printable(each.words)}\n    {printable(each.remedy)}" for each in wrong
-            )
-        )
+        print("\n".join(map(_as_text, wrong)))
     else:
         heard = ", ".join(f"/{topic} {rate:g} Hz" for topic, rate in rates.items() if TOPICS[topic].least_hz)
         print(f"nothing is wrong in {args.seconds:g} s: {heard}")

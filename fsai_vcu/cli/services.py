@@ -14,6 +14,7 @@ from typing import Any
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.interface.errors import UserError
+from fsai_vcu.printable import LINE, printable
 from fsai_vcu.runtime.configuration import usual_environment
 from fsai_vcu.runtime.transport import enclave_words, set_transport
 
@@ -90,7 +91,9 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
             with ros_errors():
                 rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
                 ending.callback(rclpy.try_shutdown)
-                node = rclpy.create_node("fsai_operator", namespace=namespace, enable_rosout=False)
+                node = rclpy.create_node(
+                    "fsai_operator", namespace=namespace, enable_rosout=False, start_parameter_services=False
+                )
         except InvalidNamespaceException as error:
             raise UserError(f"--namespace {namespace}: that is no ROS namespace; one is like /car1") from error
         ending.callback(node.destroy_node)
@@ -146,10 +149,11 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
                 asked.append(client.call_async(kind.Request(**request)))
                 ask_s = waited_s + ASK_AGAIN_S
             rclpy.spin_once(node, timeout_sec=_TURN_S)
+    said = printable(answer.message, LINE)
     if args.json:
-        print(json.dumps({**request, "success": answer.success, "message": answer.message}))
+        print(json.dumps({**request, "success": answer.success, "message": said}))
     else:
-        print(answer.message, file=sys.stdout if answer.success else sys.stderr)
+        print(said, file=sys.stdout if answer.success else sys.stderr)
     return 0 if answer.success else 1
 
 

@@ -451,7 +451,7 @@ def _first_stamp(path: Path) -> tuple[int, str]:
 def _unfolded(name: str) -> list[str]:
     """A folder as the logs in it, by their names; anything else as it is."""
     folder, _, filters = name.partition(",")
-    if folder == "-" or not Path(folder).is_dir():
+    if folder == "-" or not _holds(folder, Path.is_dir):
         return [name]
     logs = [path for path in Path(folder).iterdir() if path.is_file() and _log_like(path)]
     logs.sort(key=_first_stamp)
@@ -471,10 +471,18 @@ def _log_like(path: Path) -> bool:
     return bool(set(path.suffixes) & LOG_SUFFIXES)
 
 
+def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
+    """Raises UserError for what can be no name of a file: it is too long."""
+    try:
+        return condition(Path(name))
+    except OSError as error:
+        raise UserError(f"{name}: {error.strerror}") from error
+
+
 def _is_log(name: str) -> bool:
     """An interface is what is no file and does not look like one: can0, vcan0, loopback:NAME."""
     path = Path(name)
-    if name == "-" or path.exists():
+    if name == "-" or _holds(name, Path.exists):
         return True
     return ":" not in name and ("/" in name or path.suffix != "")
 

@@ -9,11 +9,12 @@ from typing import Any
 
 from fsai_vcu.cli.services import add_bridge_arguments as add_arguments
 from fsai_vcu.cli.services import vehicle_state
-from fsai_vcu.printable import printable
+from fsai_vcu.printable import LINE, printable
 
 __all__ = ["EXAMPLE", "add_arguments", "run"]
 
 EXAMPLE = "fsai-vcu status --json"
+_MOST = 50  # items of a list; any program on this machine can publish the message
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,18 +24,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _as_dict(state: Any) -> dict[str, Any]:
-    """The message's fields as JSON types; NaN (never received) becomes null."""
+    """The message's fields as JSON types; NaN (never received), and what else is no number, becomes null."""
     fields: dict[str, Any] = {}
     for name in state.get_fields_and_field_types():
         value = getattr(state, name)
         if name == "header":
             continue
         if isinstance(value, float):
-            fields[name] = None if math.isnan(value) else round(value, 6)
-        elif isinstance(value, str | bool | int):
+            fields[name] = round(value, 6) if math.isfinite(value) else None
+        elif isinstance(value, bool | int):
             fields[name] = value
+        elif isinstance(value, str):
+            fields[name] = printable(value, LINE)
         else:
-            fields[name] = [str(item) if isinstance(item, str) else int(item) for item in value]
+            fields[name] = [printable(item, LINE) if isinstance(item, str) else int(item) for item in value[:_MOST]]
     return fields
 
 
@@ -61,8 +64,8 @@ def _as_text(state: Any) -> str:
         lines.append(f"emergency {state.emergency}")
     if state.stopping:
         lines.append(f"stopping  {state.stopping}")
-    lines += [f"gate      {reason}" for reason in state.gate_reasons]
+    lines += [f"gate      {reason}" for reason in state.gate_reasons[:_MOST]]
     if state.why_not_driving:
         lines.append("why not driving:")
-        lines += [f"  - {condition}" for condition in state.why_not_driving]
-    return "\n".join(map(printable, lines))
+        lines += [f"  - {condition}" for condition in state.why_not_driving[:_MOST]]
+    return "\n".join(printable(line, LINE) for line in lines)

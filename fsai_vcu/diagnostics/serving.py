@@ -135,7 +135,9 @@ class Server:
             return True
         try:
             parts = urlsplit(origin)
-            return bool(parts.hostname) and f"{parts.scheme}://{parts.hostname}:*" in self.origins
+            place = f"{parts.scheme}://{parts.hostname}"
+            alone = origin.lower() in (place, f"{place}:{parts.port}")  # a list, or one with more in it, is none
+            return alone and f"{place}:*" in self.origins
         except ValueError:
             return False
 

@@ -30,6 +30,8 @@ ENCODING = "cp1252"  # what the tools that write DBC files use
 # end shows that a list of receivers is whole.
 _WHOLE_MESSAGE = re.compile(r"BO_ \d+ .+\n")
 _LONGEST_BYTES = 1785  # SAE J1939-21: the most that a message has, sent in many frames
+_LONGEST_NAME = 500
+_LARGEST = 1e30  # more than 64 bits hold, in any unit
 _GAP = r"(?:\s|//[^\n]*(?:\n|\Z))"
 _MESSAGE_LENGTH = re.compile(rf"\bBO_{_GAP}+\d+{_GAP}+\w+{_GAP}*:{_GAP}*(\d+)")
 _MODEST_CHARACTERS = 128 << 10
@@ -80,6 +82,7 @@ def _load_one(path: Path) -> Database:
         raise DatabaseError(f"{path}: not a valid DBC file: {_one_line(error)}") from error
     if not database.messages:
         raise DatabaseError(f"{path}: not a valid DBC file: it describes no message")
+    check_bounds(path, database)
     check_whole(path, text)
     make_flags_unsigned(database)
     return database
@@ -113,6 +116,32 @@ def check_lengths(path: Path, text: str) -> None:
     for found in _SIGNAL_PLACE.finditer(text):
         if any(_too_large(number, 8 * _LONGEST_BYTES) for number in found.groups()):
             raise DatabaseError(f"{path}: not a valid DBC file: a signal beyond {_LONGEST_BYTES} bytes")
+
+
+def check_bounds(path: Path, database: Database) -> None:
+    """Raises DatabaseError for a database, of any kind, whose messages, names or numbers are larger than any real one.
+
+    Every frame of a log is taken apart by them: what is large here is large as many times as there are frames.
+    """
+    for message in database.messages:
+        if not 0 <= message.length <= _LONGEST_BYTES:
+            raise DatabaseError(f"{path}: a message of less than 0 or more than {_LONGEST_BYTES} bytes")
+        if not 0 <= message.frame_id < 1 << 29:
+            raise DatabaseError(f"{path}: a message whose identifier has not 29 bits at most")
+        _check_texts(path, message.name, *message.senders)
+        for signal in message.signals:
+            _check_texts(path, signal.name, signal.unit or "", *map(str, (signal.choices or {}).values()))
+            numbers = signal.scale, signal.offset, *(signal.choices or ())
+            if not all(-_LARGEST < number < _LARGEST for number in numbers):
+                raise DatabaseError(f"{path}: a number that is none, or beyond {_LARGEST:g}")
+
+
+def _check_texts(path: Path, *texts: object) -> None:
+    for text in texts:
+        if not isinstance(text, str):
+            raise DatabaseError(f"{path}: a message, a signal or a node without a name")
+        if len(text) > _LONGEST_NAME:
+            raise DatabaseError(f"{path}: a name, a unit or a word of more than {_LONGEST_NAME} characters")
 
 
 def is_modest(text: str) -> bool:

@@ -66,7 +66,7 @@ def send_results(path: Path, bounds: Bounds, work: Callable[[Callable[[Any], Non
     why: str | None = None
 
     def send(what: Any) -> None:
-        pickle.dump(what, out)
+        out.write(pickle.dumps(what))  # all of it or nothing: it may be what cannot be sent
         out.flush()
 
     try:

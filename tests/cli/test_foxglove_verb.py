@@ -96,6 +96,9 @@ def handshake(server: Server, **headers: str) -> int:
         ("https://evil.example", 403),
         ("https://app.foxglove.dev.evil.example", 403),
         ("https://localhost.evil.example:8080", 403),
+        ("http://localhost", 101),
+        ("http://localhost:1, https://evil.example", 403),
+        ("http://evil@localhost:1", 403),
         ("null", 403),
     ],
 )

@@ -59,6 +59,7 @@ USES = [
     ("dump run.log --from noon", 2, "--from is noon"),
     ("dump run.log,520", 2, "no filter: '520'; a filter is ID:MASK"),
     ("dump run.log vcan0", 2, "logs and live interfaces cannot be read together"),
+    (f"dump {'x' * 5000}", 1, "xxx: File name too long"),
     # ---------------------------------------------------------------- export
     *(
         (f"export {use} --to csv -o tables", status, words)

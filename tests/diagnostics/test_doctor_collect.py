@@ -151,7 +151,7 @@ def test_the_kernels_own_tables_are_understood() -> None:
 def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path) -> None:
     port_files = ("fastrtps_port7410", "fastrtps_port7410_sl", "sem.fastrtps_port7410_mutex")
     names = ("fastrtps_0a", "fastrtps_0a_el", *port_files)
-    for name in (*names, "somebody_elses"):
+    for name in (*names, "somebody_elses", "fastrtps_x; reboot #", "fastrtps_$(reboot)", "sem.fastrtps_x\n_mutex"):
         (tmp_path / name).touch()
     with (tmp_path / "fastrtps_0a_el").open() as segment, (tmp_path / "fastrtps_port7410_sl").open() as port:
         fcntl.flock(segment, fcntl.LOCK_EX)

@@ -334,3 +334,13 @@ def test_mf4_has_a_group_per_message(
                 shown = [round((mdf.header.abs_time / 1e9 + t) * 1e6) for t in found.timestamps[:5]]
                 assert shown == pytest.approx([row["time"] for row in rows[:5]], abs=1)
         assert mdf.get("ANGLE", group=groups["VCU2AI_Steer"]).unit == "deg"
+
+
+def test_integers_beyond_64_bits_are_texts_in_mf4(tmp_path: Path) -> None:
+    (tmp_path / "x.dbc").write_text(
+        'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|64@1+ (1000000000000000000000000000,0) [0|0] "" A\n\n'
+    )
+    frames = frames_of([LogFrame(n * 1_000_000, "can0", 1, b"\xff" * 8) for n in range(1, 4)])
+    export(frames, Decoder(load_databases([tmp_path / "x.dbc"])), "mf4", tmp_path / "run.mf4")
+    with asammdf.MDF(tmp_path / "run.mf4") as mdf:
+        assert mdf.get("S").samples.tolist() == [str((2**64 - 1) * 10**27).encode()] * 3

@@ -296,19 +296,25 @@ def test_links_in_the_folder_lead_the_recorder_to_no_other_file(tmp_path: Path) 
     ]
 
 
-def test_a_link_in_the_place_of_a_sidecar_is_replaced(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "make", [lambda path: path.symlink_to("../victim"), lambda path: (path / "kept").mkdir(parents=True)]
+)
+def test_what_is_in_the_place_of_a_sidecar_is_replaced(make: Callable[[Path], None], tmp_path: Path) -> None:
     (tmp_path / "victim").write_text("three")
     rig = Rig(tmp_path / "run")
     for name in ("can0-000001.json.new", "can0-000001.json"):
         (rig.path / name).unlink(missing_ok=True)
-        (rig.path / name).symlink_to("../victim")
+        make(rig.path / name)
     rig.turn(received(10))
     rig.recording.close(rig.now_ns)
     assert (tmp_path / "victim").read_text() == "three"
     assert json.loads((rig.path / "can0-000001.json").read_text())["frames"] == 10
+    assert len(list(rig.path.glob("*/kept"))) in (0, 2)
 
 
-@pytest.mark.parametrize("name", [".can0.lock", "can0-000001.log", "can0-000001.json", "can0-000001.mcap"])
+@pytest.mark.parametrize(
+    "name", [".can0.lock", "can0-000001.log", "can0-000001.json", "can0-000001.json.new", "can0-000001.mcap"]
+)
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
 def test_a_pipe_or_a_folder_is_passed_over_where_a_file_was(
     name: str, make: Callable[[Path], None], tmp_path: Path

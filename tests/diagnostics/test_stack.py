@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
 from msgspec.structs import asdict
 
+from fsai_vcu.cli.check_stack import _as_dict, _as_text
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.supervision.supervisor import Asked
+from fsai_vcu.core.supervision.supervisor import ROLES, Asked
 from fsai_vcu.diagnostics.stack import Ends, StackWatch
 
 ROS_S = 1_000.0
@@ -175,3 +177,32 @@ def test_what_nodes_complain_of_is_told() -> None:
     clock, command = wrong(watch)
     assert clock.startswith("clock: path_planner says: this node's own clock stands still")
     assert command.startswith("vehicle_cmd: vcu_bridge says: /vehicle_cmd of team refused: throttle is nan;")
+
+
+HOSTILE = "\x1b]0;PWN\x07\r\n" + "x" * 100_000 + "�\ud800\x7f"
+
+
+def test_what_any_program_says_is_told_in_short_lines() -> None:
+    watch = watched()
+    watch.receive("vehicle_state", state(stopping=HOSTILE), 2.0, round(ROS_S * 1e9))
+    watch.receive("run_state", run(8, mission=4, may_move=True), 1.0, 0)
+    watch.receive("planner_status", stamped(late=HOSTILE), 0.0, round(ROS_S * 1e9))
+    watch.receive("reset_confirmation", SimpleNamespace(role=HOSTILE, run_id=8), 0.0, 0)
+    watch.ends = {"path": Ends(publishers=["planner"], readers=["controller"])}
+    for number in range(300):
+        path = stamped(poses=["one"])
+        path.header.frame_id = f"{number} {HOSTILE}"
+        watch.receive("path", path, number * 0.1, round(ROS_S * 1e9))
+        watch.complain(f"{number} {HOSTILE}: {HOSTILE}", HOSTILE)
+        watch.diagnose(f"count of {HOSTILE}", "1")
+    for count in ("3", "-1", "NaN", "9" * 5000, HOSTILE, "5"):
+        watch.diagnose("count of steer_clamped", count)
+        watch.diagnose("last detail of steer_clamped", HOSTILE)
+    found = list(watch.findings())
+    lines = "\n".join(map(_as_text, found)).splitlines()
+    assert len(lines) == 2 * len(found) < 450
+    assert all(line.isprintable() and len(line) < 1200 for line in lines)
+    assert any("the bridge intervened 2 times" in line for line in lines)
+    assert watch.confirmed == {(role, 7) for role in ROLES}
+    told = json.dumps([_as_dict(each) for each in found])
+    assert told.isprintable() and len(told) < 1000 * len(found)

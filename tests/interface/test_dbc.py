@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from cantools.database.can import Database, Message
 
-from fsai_vcu.interface.database import dbc_dir
+from fsai_vcu.interface.database import DatabaseError, check_bounds, dbc_dir
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -151,3 +152,36 @@ def test_the_pcan_gps_file_reads_in_the_encoding_of_dbc_files() -> None:
 def test_a_database_is_loaded_without_python_can() -> None:
     code = "import sys, fsai_vcu.interface.database; sys.exit('can' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"{'S' * 501} : 0|8@1+ (1,0) [0|0] ", "a name, a unit or a word of more than 500 characters"),
+        ("S : 0|8@1+ (1e31,0) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        (f"S : 0|8@1+ (1,-{'9' * 40}) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        ("S : 0|8@1+ (1e999,0) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        ("S : 0|8@1+ (1e-30,1e29) [-1e300|1e999] ", ""),
+    ],
+)
+def test_names_and_numbers_larger_than_any_real_one_are_refused(line: str, words: str) -> None:
+    database = Database()
+    database.add_dbc_string(f'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ {line}"" A\n\n')
+    with pytest.raises(DatabaseError, match=words) if words else nullcontext():
+        check_bounds(Path("x.dbc"), database)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "length", "sender", "words"),
+    [
+        (1, 8, None, "without a name"),
+        (-1, 8, "A", "identifier has not 29 bits"),
+        (1, 1786, "A", "more than 1785 bytes"),
+        (1, -8, "A", "less than 0"),
+    ],
+)
+def test_messages_that_no_bus_has_are_refused(can_id: int, length: int, sender: str | None, words: str) -> None:
+    """Which cantools reads from KCD files."""
+    database = Database(messages=[Message(can_id, "M", length, [], senders=[sender])])  # type: ignore[list-item]
+    with pytest.raises(DatabaseError, match=words):
+        check_bounds(Path("x.kcd"), database)

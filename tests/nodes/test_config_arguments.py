@@ -74,7 +74,7 @@ class Watched:
 
     def addresses(self) -> set[str]:
         found = listening_addresses(Path("/proc", str(self.process.pid)))
-        return {str(address) for address in found if not (address.is_loopback or address.is_multicast)}
+        return {str(address) for address in found if not address.is_loopback}
 
     def shares_memory(self) -> bool:
         """Whether DDS has a thread for shared memory."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -134,6 +135,17 @@ def test_the_limits_in_force_are_published_and_in_status() -> None:
     state = to.state_to_msg(replace(report_after(), limits=OperationalLimits(max_speed_mps=3.5)), STAMP, math.nan)
     assert "limits    max_speed_mps = 3.5, max_axle_torque_nm = not limited" in _as_text(state)
     assert _as_dict(state)["operational_limits"][0] == "max_speed_mps = 3.5"
+
+
+def test_what_any_program_may_publish_is_a_short_status() -> None:
+    hostile = "\x1b]0;PWN\x07\n\x7f\ud800" + "x" * 100_000
+    texts = {name: hostile for name, kind in VehicleState.get_fields_and_field_types().items() if kind == "string"}
+    lists = {name: [hostile] * 200 for name in ("faults", "gate_reasons", "why_not_driving", "operational_limits")}
+    state = VehicleState(**texts, **lists, status_age_s=math.nan, speed_mps=math.inf, steering_rad=-math.inf)
+    lines = _as_text(state).splitlines()
+    assert len(lines) < 150 and all(line.isprintable() and len(line) < 600 for line in lines)
+    told = json.dumps(_as_dict(state), allow_nan=False)
+    assert told.isprintable() and len(told) < 200_000 and json.loads(told)["speed_mps"] is None
 
 
 def test_before_the_car_has_said_anything_everything_is_unknown() -> None:

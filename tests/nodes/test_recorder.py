@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
 
 from fsai_nodes.qos import TOPICS
-from fsai_nodes.recorder import PROJECT_TOPICS, TopicRecorder, definition_of
+from fsai_nodes.recorder import PROJECT_TOPICS, TopicRecorder, class_of, definition_of
 from fsai_vcu.diagnostics.export.mcap_file import McapTables, RosMessage
 from fsai_vcu.runtime.bus import open_bus
 
@@ -111,6 +111,16 @@ def test_a_definition_has_every_type_in_it() -> None:
     ]
     with pytest.raises(LookupError, match="there is no definition of nav_msgs/msg/Nothing"):
         definition_of("nav_msgs/msg/Nothing")
+
+
+@pytest.mark.parametrize(
+    "name", ["", "Type", "a/b", "a/b/c/d", "../msg/Type", "/msg/Type", "os/path/join", "std_msgs/msg/\x1b", "x" * 9999]
+)
+def test_a_type_that_is_none_of_ros_is_said_in_words(name: str) -> None:
+    with pytest.raises(LookupError) as refused:
+        class_of(name)
+    assert "is none of ROS" in str(refused.value) and str(refused.value).isprintable()
+    assert len(str(refused.value)) < 200
 
 
 def test_a_recorded_message_is_read_by_its_own_definition(rig: RosRig, recorder: TopicRecorder, tmp_path: Path) -> None:

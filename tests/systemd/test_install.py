@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-from install_rig import install_car
+from install_rig import CHECKOUT, UNITS, install_car
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -26,6 +27,39 @@ def test_installing_again_keeps_the_configuration(tmp_path: Path) -> None:
     before = contents(tmp_path)
     assert install_car("install", destination=tmp_path).returncode == 0
     assert contents(tmp_path) == before
+
+
+def modes(folder: Path) -> dict[str, int]:
+    return {str(path.relative_to(folder)): path.stat().st_mode for path in folder.rglob("*")}
+
+
+def test_a_version_over_another_is_as_if_installed_alone(tmp_path: Path) -> None:
+    car, fresh, version = tmp_path / "car", tmp_path / "fresh", tmp_path / "version"
+    for name in ("systemd", "scripts", "docs"):
+        shutil.copytree(CHECKOUT / name, version / name)
+    for name in ("LICENSE", "CHANGELOG.md", "pyproject.toml"):
+        shutil.copy(CHECKOUT / name, version)
+    script = version / "scripts" / "install-car"
+    assert install_car("install", destination=car, script=script).returncode == 0
+    units, ours = version / "systemd/units", car / "etc/fsai/fsai.toml"
+    ours.write_text("# ours\n")
+    (car / UNITS / "fsai.target").chmod(0o666)
+    (car / "usr/lib/fsai/settle").chmod(0o644)
+    (units / "fsai-planner.service").rename(units / "fsai-path.service")
+    (units / "fsai-bridge@.service").write_text("# changed\n")
+    shutil.rmtree(units / "fsai-link@.service.d")
+    (version / "systemd/etc/fsai.toml").write_text("# theirs\n")
+    (version / "systemd/tmpfiles/fsai.conf").unlink()  # it breaks off in the middle
+    (units / "fsai-given-up.service").touch()
+    assert install_car("install", destination=car, script=script).returncode != 0
+    (units / "fsai-given-up.service").unlink()
+    shutil.copy(CHECKOUT / "systemd/tmpfiles/fsai.conf", version / "systemd/tmpfiles")
+    for destination in (car, fresh):
+        assert install_car("install", destination=destination, script=script).returncode == 0
+    assert modes(car) == modes(fresh)
+    assert ours.read_text() == "# ours\n"
+    ours.write_text("# theirs\n")
+    assert contents(car) == contents(fresh)
 
 
 def test_uninstalling_leaves_the_configuration_and_nothing_else(tmp_path: Path) -> None:

@@ -149,6 +149,7 @@ def test_without_what_it_depends_on_it_is_not_configured(deb: Path, tmp_path: Pa
 def test_an_upgrade_keeps_configuration_and_what_is_disabled(image: Image, deb: Path) -> None:
     toml = image.root / "etc/fsai/fsai.toml"
     toml.write_text("# ours\n")
+    toml.chmod(0o666)
     detector = image.root / "etc/systemd/system/fsai.target.wants/fsai-detector.service"
     detector.unlink()
     assert image.settle("vcan0").returncode == 0
@@ -156,7 +157,7 @@ def test_an_upgrade_keeps_configuration_and_what_is_disabled(image: Image, deb: 
     before = image.starts
     done = image.dpkg("-i", deb)
     assert done.returncode == 0, done.stderr
-    assert toml.read_text() == "# ours\n"
+    assert toml.read_text() == "# ours\n" and stat.S_IMODE(toml.stat().st_mode) == 0o640
     assert image.starts == before and "fsai-detector.service" not in before and "fsai-bridge@vcan0.service" in before
 
 

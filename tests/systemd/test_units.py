@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -60,6 +61,29 @@ def test_a_service_has_no_more_rights_than_it_needs(machine: Path, unit: str) ->
     listed = json.loads(analyze(machine, "security", "--offline=true", "--json=short", unit).stdout)
     user = next(entry for entry in listed if "DynamicUser" in entry["name"])
     assert user["set"] is True, "it runs as root"
+
+
+@pytest.mark.parametrize(
+    ("page", "unit", "line"),
+    [
+        ("security.md", "fsai-bridge@can0.service", "IPAddressAllow=192.168.1.0/24 multicast"),
+        ("car.md", "fsai-recorder@can0.service", "ReadWritePaths=/data"),
+    ],
+)
+def test_systemd_understands_what_a_page_adds_to_a_unit(machine: Path, page: str, unit: str, line: str) -> None:
+    assert f"`{line}`" in (CHECKOUT / "docs" / page).read_text()
+    override = machine / "etc/systemd/system" / f"{unit}.d" / "override.conf"
+    override.parent.mkdir(parents=True)
+    override.write_text(f"[Service]\n{line}\n")
+    try:
+        done = analyze(machine, "verify", "--man=no", "--recursive-errors=no", unit)
+        listed = json.loads(analyze(machine, "security", "--offline=true", "--json=short", unit).stdout)
+    finally:
+        shutil.rmtree(override.parent)
+    assert (done.returncode, [each for each in done.stderr.splitlines() if "fsai" in each]) == (0, []), done.stderr
+    if page == "security.md":
+        (addresses,) = [each["description"] for each in listed if "IPAddressDeny" in each["name"]]
+        assert "non-localhost entries" in addresses
 
 
 def test_the_bridges_readiness_and_watchdog(root: Path) -> None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _KINDS = ("arxml", "cdd", "dbc", "kcd", "sym")
 _MAX_PLAIN_BYTES = 8
 _INT64 = 1 << 63
+_LONGEST_PERIOD_MS = 86_400_000  # a day
 
 
 class UndecodableError(ValueError):
@@ -134,6 +135,7 @@ def _load(path: Path) -> tuple[Database, bool]:
     from fsai_vcu.interface.database import (
         ENCODING,
         DatabaseError,
+        check_bounds,
         check_lengths,
         check_whole,
         is_modest,
@@ -164,6 +166,7 @@ def _load(path: Path) -> tuple[Database, bool]:
         raise DatabaseError(f"{path}: describes diagnostics, not messages")
     if not loaded.messages:
         raise DatabaseError(f"{path}: describes no message")
+    check_bounds(path, loaded)
     if kind != "dbc":
         return loaded, False
     check_whole(path, text)
@@ -187,6 +190,8 @@ def _layout(message: Message) -> MessageLayout:
     )
     own = BY_NAME.get(message.name)
     period_ms = message.cycle_time or None
+    if not isinstance(period_ms, int | float) or not 0 < period_ms <= _LONGEST_PERIOD_MS:
+        period_ms = None  # the attribute may be anything
     if period_ms is None and own is not None and own.can_id == message.frame_id and len(own.period_ns) == 1:
         period_ms = next(iter(own.period_ns.values())) // 1_000_000
     return MessageLayout(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 
 from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Machine, Wanted
@@ -11,6 +12,7 @@ _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 _IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
 _NO_CONFIGURATION = "needs the configuration"
+_AT_ONCE = 20  # files of a command
 _DOMAIN_MAX = 232  # beyond it there are no UDP ports
 _SETTLE = "sudo /usr/lib/fsai/settle"  # sets which bus the services are for
 _ANOTHER = f"name another in [can] interface and to the services: {_SETTLE} NAME"
@@ -245,7 +247,7 @@ def shared_memory(machine: Machine) -> Iterator[Finding]:
     if machine.dds_leftovers:
         files = "1 file" if len(machine.dds_leftovers) == 1 else f"{len(machine.dds_leftovers)} files"
         words = f"{files} in /dev/shm of ROS programs that were killed: no node of ours uses them, others may hang"
-        yield Finding("note", "DDS", words, f"sudo rm -f {' '.join(machine.dds_leftovers)}")
+        yield Finding("note", "DDS", words, f"sudo rm -f {' '.join(machine.dds_leftovers[:_AT_ONCE])}")
 
 
 def dds(machine: Machine) -> Iterator[Finding]:
@@ -370,7 +372,8 @@ def disk(machine: Machine) -> Iterator[Finding]:
 
 def permissions(machine: Machine) -> Iterator[Finding]:
     for file, problem in machine.file_problems:
-        yield _wrong("permissions", f"{file} {problem}", f"sudo chown root:fsai {file}; sudo chmod 640 {file}")
+        name = shlex.quote(file)
+        yield _wrong("permissions", f"{file} {problem}", f"sudo chown root:fsai {name}; sudo chmod 640 {name}")
     if machine.user == "root" or "fsai" in machine.groups or machine.user == "fsai":
         yield _right("permissions", f"{machine.user} may read configuration and logs")
     else:

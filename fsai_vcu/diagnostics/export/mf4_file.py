@@ -13,6 +13,8 @@ import numpy as np
 
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Values
 
+_DIGITS = 200  # more than 512 bits have, times a factor
+
 
 @contextmanager
 def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[Rows], None]]:
@@ -41,6 +43,7 @@ def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[Rows], None]]:
                 name=column.name,
                 unit=column.unit,
                 conversion=_conversion(column),
+                encoding="utf-8" if column.kind == "object" else None,
                 invalidation_bits=np.ma.getmaskarray(values) if column.optional else None,
             )
             for column, values in columns
@@ -66,5 +69,5 @@ def _conversion(column: Column) -> dict[str, object] | None:
 
 def _samples(column: Column, values: Values) -> Any:
     if column.kind == "object":
-        return np.array([str(value).encode() for value in values.data.tolist()], "S24")
+        return np.array([str(value).encode() for value in values.data.tolist()], f"S{_DIGITS}")
     return values.data

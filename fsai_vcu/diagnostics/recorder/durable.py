@@ -6,7 +6,7 @@ import contextlib
 import os
 from pathlib import Path
 
-from fsai_vcu.files import open_new
+from fsai_vcu.files import move_aside, open_new
 
 
 class DurableFile:
@@ -80,6 +80,9 @@ def sync_folder(folder: Path) -> None:
 def replace_durably(path: Path, text: str) -> None:
     """`path` has this text, or the one before, but never half of it. Raises OSError."""
     beside = path.with_name(path.name + ".new")
+    for place in (beside, path):
+        if place.is_dir() and not place.is_symlink():
+            move_aside(place)
     beside.unlink(missing_ok=True)  # of a power cut, or of somebody else
     try:
         with os.fdopen(open_new(beside), "w", encoding="utf-8") as file:

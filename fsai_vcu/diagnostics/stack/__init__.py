@@ -17,9 +17,10 @@ from typing import Any
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.reasons import words_of
+from fsai_vcu.core.supervision.reasons import Reason, words_of
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked
 from fsai_vcu.diagnostics.finding import Finding
+from fsai_vcu.printable import LINE, printable
 
 _CONFIG = BridgeConfig()
 AGE_MAX_S = _CONFIG.sensor_stale_ns / 1e9
@@ -28,6 +29,10 @@ GAP_MAX_S = _CONFIG.command_stale_ns / 1e9
 _STEER_MAX_RAD = math.radians(30.0)  # where the car has not said its own
 _COMMANDED = [name for name in VehicleCommand.__struct_fields__ if name != "t_sensor_ns"]
 _ASKED = tuple(each.value for each in Asked)  # such a stop is in order
+_REASONS = frozenset(each.slug for each in Reason)
+_NAME = 100  # characters of one
+_DIGITS = 20  # of a count
+_MOST = 100  # nodes and frames that are told of: any program on this machine can make up names
 _CLOCK = "start it without use_sim_time, or let everything go by one /clock"
 
 
@@ -118,7 +123,7 @@ class StackWatch:
             # With `late` a planner's status has no path, and no stamp.
             age_s = (ros_ns - stamp_ns) / 1e9 if stamp_ns or getattr(message, "late", "") else None
         if topic == "planner_status" and message.late:
-            self.no_path = message.late
+            self.no_path = printable(message.late, LINE)
             return
         self.heard[topic].receive(now_s, age_s)
         if hasattr(self, f"_on_{topic}"):
@@ -129,23 +134,24 @@ class StackWatch:
         self.drives |= message.may_move and message.mission not in WITHOUT_PATH
 
     def _on_reset_confirmation(self, message: Any) -> None:
-        self.confirmed.add((message.role, message.run_id))
+        if message.role in ROLES:
+            self.confirmed.add((message.role, message.run_id))
 
     def _on_vehicle_state(self, message: Any) -> None:
         if message.steering_max_rad > 0.0:
             self.steer_max_rad = message.steering_max_rad
         why = message.emergency or message.stopping
         if why and not why.startswith(_ASKED):
-            self.stopping = why
+            self.stopping = printable(why, LINE)
 
     def _on_path(self, message: Any) -> None:
-        if message.poses:
-            self.frames.add(message.header.frame_id)
+        if message.poses and len(self.frames) < _MOST:
+            self.frames.add(printable(message.header.frame_id, _NAME))
         self.points += len(message.poses)
 
     def _on_planner_status(self, message: Any) -> None:
         if message.note:
-            self.no_path = message.note
+            self.no_path = printable(message.note, LINE)
 
     def _on_vehicle_cmd(self, message: Any) -> None:
         command = VehicleCommand(0, **{name: getattr(message, name) for name in _COMMANDED})
@@ -158,16 +164,20 @@ class StackWatch:
 
     def diagnose(self, key: str, value: str) -> None:
         """A pair of /diagnostics' supervision: how often each reason has come up, and its last detail."""
-        if key.startswith("count of "):
-            slug, count = key.removeprefix("count of "), int(value)
+        what, _, slug = key.partition(" of ")
+        if slug not in _REASONS:
+            return
+        if what == "count" and value.isdecimal() and len(value) < _DIGITS:
+            count = int(value)
             self.counted[slug] = self.counted.get(slug, (count, count))[0], count
-        elif key.startswith("last detail of "):
-            self.details[key.removeprefix("last detail of ")] = value
+        elif what == "last detail":
+            self.details[slug] = printable(value, LINE)
 
     def complain(self, name: str, message: str) -> None:
         """An entry of /diagnostics by which a node complains: 'path_planner: /vehicle_state', 'path_planner: clock'."""
-        node, _, what = name.partition(": ")
-        self.told[node, what] = message
+        node, _, what = printable(name, 2 * _NAME).partition(": ")
+        if (node, what) in self.told or len(self.told) < _MOST:
+            self.told[node, what] = printable(message, LINE)
 
     # ------------------------------------------------------------ what is wrong
 

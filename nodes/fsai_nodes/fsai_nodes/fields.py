@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from fsai_vcu.printable import printable as whole_printable
+
 SHOWN = 60  # characters of a value that a sentence repeats
 
 
 def printable(text: str, most: int = SHOWN) -> str:
     """A line of at most `most` characters: control characters are escaped, what is longer is cut and counted."""
-    shown = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text[:most])
-    return shown if len(text) <= most and len(shown) <= 6 * most else f"{shown[:most]}… ({len(text)} characters)"
+    return whole_printable(text, most)
 
 
 def shown(value: object) -> str:

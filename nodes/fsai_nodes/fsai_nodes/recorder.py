@@ -21,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
 from fsai_nodes.door import Door
+from fsai_nodes.fields import shown
 from fsai_nodes.listener import Listener
 from fsai_nodes.qos import TOPICS, profile
 from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
@@ -29,6 +30,7 @@ LOOK_AGAIN_S = 0.5  # for topics that were not there before
 DEPTH = 200
 PROJECT_TOPICS = (*TOPICS, "/tf", "/tf_static")
 _RULE = "=" * 80
+_TYPE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
 
 
 class TopicRecorder(Listener):
@@ -74,7 +76,7 @@ class TopicRecorder(Listener):
     def _subscribe(self, name: str, types: Sequence[str]) -> None:
         try:
             if len(types) > 1:
-                raise LookupError(f"it has several types: {', '.join(types)}")
+                raise LookupError(f"it has several types: {', '.join(map(shown, types[:5]))}")
             message_type = class_of(types[0])
             definition = definition_of(types[0])
         except LookupError as error:
@@ -102,6 +104,8 @@ class TopicRecorder(Listener):
 
 def class_of(type_name: str) -> type[Any]:
     """The Python class of 'package/msg/Type'. Raises LookupError with words for people."""
+    if _TYPE.fullmatch(type_name) is None:  # a program of plain DDS may name it as it likes
+        raise LookupError(f"its type {shown(type_name)} is none of ROS")
     package, _, name = type_name.split("/")
     try:
         found: type[Any] = getattr(import_module(f"{package}.msg"), name)
