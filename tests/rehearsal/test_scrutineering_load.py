@@ -168,7 +168,7 @@ def test_the_source_is_a_commit_or_nothing(tmp_path: Path) -> None:
     assert source_revision(tmp_path) == ""
 
 
-def test_a_load_that_is_not_at_work_in_time_costs_its_own_condition(
+def test_a_load_that_starts_too_late_costs_its_own_condition(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(load, "_START_S", 0.0)
