@@ -70,6 +70,9 @@ class Run(Value, frozen=True):
     may_move: bool = False
 
 
+LOST = "lost: "
+
+
 class Plan(Value, frozen=True):
     """Where to drive, from the planner to the controller.
 
@@ -77,7 +80,8 @@ class Plan(Value, frozen=True):
     `laps` completed so far; `stop_distance_m` is the length of path left until the car must stand (None: no stop known
     yet); `finished` says the mission's last line has been crossed. `supported_m` is the length of path from the car on
     that cones or a map bear out, `confidence` (0…1) how sure the planner is of it; `mapped` says that the path follows
-    a map closed over a whole lap; `note` says in words why there is no path, or why it is doubted.
+    a map closed over a whole lap; `note` says in words why there is no path, or why it is doubted. A planner that does
+    not know where the lane is says so by a note that begins with `LOST`: its path is the way to a stop at once.
     """
 
     t_sensor_ns: int
@@ -93,3 +97,7 @@ class Plan(Value, frozen=True):
     confidence: float = 1.0
     mapped: bool = False
     note: str = ""
+
+    @property
+    def lost(self) -> bool:
+        return self.note.startswith(LOST)

@@ -244,7 +244,9 @@ class Controller:
         if self._finished:
             return 0.0, settings.final_brake
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
-        if plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
+        if plan.lost:
+            self._note = plan.note
+        elif plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
             self._note = "the path ends and is not believed to go on" + (f": {plan.note}" if plan.note else "")
         if age_s > settings.plan_old_s:
             self._note = f"the plan is {age_s:.1f} s old"

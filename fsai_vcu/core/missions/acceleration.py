@@ -37,6 +37,10 @@ class StraightLane(Value, frozen=True, eq=False):
         """As `registration.Borders`."""
         return np.abs(y) - self.half_width_m, np.zeros_like(x), np.where(y < 0.0, -1.0, 1.0)
 
+    def off(self, xy_m: Floats) -> Floats:
+        """(N,) how far from the nearest border places (N, 2, vehicle frame) are."""
+        return np.abs(np.abs(on_course(self.pose, xy_m)[:, 1]) - self.half_width_m)
+
     def ahead(self, length_m: float, step_m: float) -> Floats:
         """(M, 2) of the lane's middle from beside the car on, in the vehicle frame."""
         x = self.pose[0] + np.arange(0.0, length_m + 1e-9, step_m)

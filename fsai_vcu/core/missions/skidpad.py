@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, misfit
+from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, misfit, on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.interface.values import Value
 
@@ -159,3 +159,9 @@ def _slipped(course: SkidpadCourse, pose: Floats, side: float) -> Floats:
 
 def laps_done(course: SkidpadCourse, state: SkidpadState) -> int:
     return min(course.laps, max(0, int((state.progress_m + 0.01) // course.lap_m))) if state.found else 0
+
+
+def off_course(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> Floats:
+    """(N,) how far from the nearest border places (N, 2, vehicle frame) are."""
+    x, y = on_course(state.pose, xy_m).T
+    return np.abs(course.borders(x, y)[0])

@@ -8,7 +8,7 @@ from fsai_vcu.core.missions.acceleration import closed_at, finish_seen, follow_l
 from fsai_vcu.core.missions.registration import on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import Course, Sight, braking_m
+from fsai_vcu.core.planning.course import DOUBTFUL, Course, Fit, Sight, braking_m
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
@@ -18,6 +18,7 @@ ACCELERATION_BRAKING_MPS2 = 4.5
 class AccelerationStrategy:
     """Straight on to the finish."""
 
+    BLIND_MAX_M = 15.0  # to be driven from the staging place without having found the lane
     HORIZON_M = 60.0  # long enough for the highest speed to brake in
 
     def __init__(self, car: VehicleParameters, settings: PlannerSettings, missions: MissionSettings) -> None:
@@ -31,7 +32,7 @@ class AccelerationStrategy:
         self._lane = staged(motion)
         self._stop_m = missions.acceleration_stop_max_m  # until the finish only the rules' limit counts
         self._finished = False
-        self._sight = Sight(motion)
+        self._sight, self._fit = Sight(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         cones = memory.around(motion)
@@ -51,5 +52,8 @@ class AccelerationStrategy:
         if lost is not None and not self._finished:
             return lost
         path = lane.ahead(self.HORIZON_M, self._step_m)
-        sure, note = (1.0, "") if lane.found else (0.3, "straight on by odometry: no lane has been found")
+        sure, note = 0.3 if along_m < self.BLIND_MAX_M else 0.0, "straight on by odometry: no lane has been found"
+        if lane.found:
+            sure = self._fit.of(memory, cones, seen_xy_m, lane.off)
+            note = "" if sure > DOUBTFUL else "the cones seen are not in two rows beside the lane"
         return Course(path, int(self._finished), self._finished, max(0.0, left), confidence=sure, note=note)

@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
+import numpy as np
+from msgspec.structs import replace
+
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.pose import NO_PATH
+from fsai_vcu.core.driving import LOST, Motion
+from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
+from fsai_vcu.core.planning.pose import NO_PATH, gaps, lengths_along, to_odometry, to_vehicle
+from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
 
 BRAKING_DELAY_S = 0.3
 BLIND_MAX_M = 12.0  # driven by odometry alone where the way is known from the cones seen before
 CONES_MIN = 2  # in one look, that keep a way believed
+
+DOUBTFUL = 0.5  # with no more confidence a note says why
+# A car that goes on under the floor of confidence is lost.
+FLOOR, FLOOR_AGAIN = 0.3, 0.5  # of the confidence averaged over some looks; the higher one ends being lost …
+NEWEST = 0.2  # share of the newest look in that average
+DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
+KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
+AT_REST_MPS, AGAIN_NS = 0.1, S  # … where the car stands, if it lasts
+ASIDE_M = (0.3, 0.8)  # beside its path: from the first on confidence falls, at the second none is left
+LOST_BRAKING_MPS2 = 4.0
+STOP_HERE_M = 0.1  # of way borne out: less than to the car's nose
+TURNED_M = 0.7  # a path that leaves the last one by so much, before the car could stop, leads elsewhere
+FIT_M = 0.5  # from where it should stand, beyond which a cone does not bear out a course of known shape
+FIT_AHEAD_M = 10.0  # so far ahead of the car cones are compared
+CONES_TO_FIT = 3  # fewer do not bear out all of it
+FIT_NONE, FIT_ALL = 0.3, 0.7  # share of cones that fit anywhere by chance, and that leaves no doubt
 
 
 class Course(Value, frozen=True):
@@ -53,6 +74,106 @@ class Sight:
         if blind_m <= BLIND_MAX_M:
             return None
         return Course(NO_PATH, supported_m=0.0, confidence=0.0, note=f"no cones are seen for {blind_m:.0f} m")
+
+
+class Evidence:
+    """How far what is seen bears out the courses of a run, and whether the car is lost.
+
+    A car that is lost brakes to rest on the last way that was not in doubt, and stays there until the cones around it
+    show the way again.
+    """
+
+    def __init__(self) -> None:
+        self._sure = 1.0
+        self._doubted_m = 0.0
+        self._why = ""
+        self._lost = False
+        self._clear_ns: int | None = None  # since when a lost car stands and the way is clear again
+        self._last: tuple[Course, Motion] | None = None
+        self._trusted: tuple[Course, Motion] | None = None  # the last course that was not in doubt
+
+    def judged(self, course: Course, motion: Motion) -> Course:
+        """The course with the confidence that it deserves; the way to a stop where the car is lost."""
+        share, why = self._followed(course, motion)
+        course = replace(course, confidence=share * course.confidence, note="; ".join(filter(None, (why, course.note))))
+        last, self._last = self._last, (course, motion)
+        if course.finished:
+            return course
+        self._sure += NEWEST * (course.confidence - self._sure)
+        driven_m = 0.0 if last is None else max(0.0, motion.distance_m - last[1].distance_m)
+        if self._sure >= FLOOR:
+            self._doubted_m = max(0.0, self._doubted_m - 2.0 * driven_m)
+        else:
+            self._doubted_m += driven_m
+        if course.confidence < FLOOR:
+            self._why = course.note or self._why
+        if min(self._sure, course.confidence) >= FLOOR_AGAIN and not self._lost and len(course.path_m):
+            self._trusted = course, motion
+        if self._lost:
+            self._lost = not self._clear(motion)
+        elif self._doubted_m > max(DOUBTED_M, DOUBTED_S * motion.speed_mps):
+            self._lost, self._clear_ns = True, None
+        return self._kept(course, motion)
+
+    def _followed(self, course: Course, motion: Motion) -> tuple[float, str]:
+        """The share of a course's confidence that is left by how it follows from the last one, and why."""
+        path = course.path_m
+        if len(path) < 2:
+            return 1.0, ""
+        aside_m = float(np.hypot(path[:, 0], path[:, 1]).min())
+        if self._last is not None and self._last[0].mapped == course.mapped and len(self._last[0].path_m) > 1:
+            before = to_vehicle(motion, to_odometry(self._last[1], self._last[0].path_m))
+            reach_m = DOUBTED_M + braking_m(motion.speed_mps, LOST_BRAKING_MPS2)
+            both_m = min(reach_m, float(lengths_along(before)[-1]) - DOUBTED_M)
+            near = path[lengths_along(path) < both_m]
+            if len(near) and float(gaps(near, before).min(axis=1).max()) > TURNED_M:
+                return 0.0, "the way ahead is another one than a moment ago"
+        share = (ASIDE_M[1] - aside_m) / (ASIDE_M[1] - ASIDE_M[0])
+        return (1.0, "") if share >= 1.0 else (max(0.0, share), f"the car is {aside_m:.1f} m beside its path")
+
+    def _clear(self, motion: Motion) -> bool:
+        """Whether a lost car stands, and has seen the way again for some time."""
+        if motion.speed_mps > AT_REST_MPS or self._sure < FLOOR_AGAIN:
+            self._clear_ns = None
+        elif self._clear_ns is None:
+            self._clear_ns = motion.t_ns
+        clear = self._clear_ns is not None and motion.t_ns - self._clear_ns >= AGAIN_NS
+        if clear:
+            self._doubted_m = 0.0
+        return clear
+
+    def _kept(self, course: Course, motion: Motion) -> Course:
+        """The way to a stop at once where the car is lost; where one look is in doubt, the last way that was not."""
+        way = NO_PATH
+        if self._trusted is not None and (self._lost or course.confidence < FLOOR):
+            trusted, there = self._trusted
+            if self._lost or motion.distance_m < there.distance_m + KEPT_M:
+                way = to_vehicle(motion, to_odometry(there, trusted.path_m))
+                way = way[int(np.hypot(way[:, 0], way[:, 1]).argmin()) :]
+        path = way if len(way) >= KEPT_POINTS else course.path_m
+        if not self._lost:
+            return replace(course, path_m=path) if len(course.path_m) else course
+        note = f"{LOST}{self._why}"
+        return replace(course, path_m=path, supported_m=STOP_HERE_M, confidence=0.0, mapped=False, note=note)
+
+
+class Fit:
+    """How well the cones around the car bear out a course of known shape: confidence, 0…1."""
+
+    def __init__(self) -> None:
+        self._confidence = 1.0
+
+    def of(self, memory: ConeMemory, cones: Cones, seen_xy_m: Floats, off_course: Callable[[Floats], Floats]) -> float:
+        """The confidence after a look; a look that saw nothing says nothing.
+
+        `off_course`: (N,) how far (m) places (N, 2, vehicle frame) are from where the course has its cones.
+        """
+        ahead = (cones.xy_m[:, 0] > 0.0) & (np.hypot(cones.xy_m[:, 0], cones.xy_m[:, 1]) < FIT_AHEAD_M)
+        places = cones.xy_m[ahead & memory.sure(cones.index)]
+        if len(seen_xy_m) >= CONES_MIN:
+            share = np.maximum(0.0, 1.0 - (off_course(places) / FIT_M) ** 2).sum() / max(CONES_TO_FIT, len(places))
+            self._confidence = min(max((float(share) - FIT_NONE) / (FIT_ALL - FIT_NONE), 0.0), 1.0)
+        return self._confidence
 
 
 def braking_m(speed_mps: float, deceleration_mps2: float) -> float:

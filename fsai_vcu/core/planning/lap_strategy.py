@@ -13,9 +13,9 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import BIG, ConeMemory, Cones
-from fsai_vcu.core.planning.course import Course, braking_m
+from fsai_vcu.core.planning.course import DOUBTFUL, Course, braking_m
 from fsai_vcu.core.planning.lane import Known, find_lane
-from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
+from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.units import S
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 SURE = 0.5  # confidence with which the lane found is believed in the next look
+KNOWN_M = 0.5  # from a cone that surely stands, a cone seen is that one
+NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
+KNOWN_NONE, KNOWN_SPAN = (0.55, 0.3), 0.25  # … that leaves no confidence without and with colours; to full confidence
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -52,6 +55,7 @@ class LapStrategy:
             from fsai_vcu.core.planning.racing import Racing  # slow to import, so not in the middle of a run
 
             self._racing = Racing(self._car, self._settings, motion)
+        self._known = 1.0  # of the cones seen lately, those that stand where cones have been seen before
         self._circling, self._circle_m = Circling(), 0.0
         self._finished_at_m: float | None = None
         self._stop_m = self._missions.lap_stop_m
@@ -69,6 +73,10 @@ class LapStrategy:
             self._kept_confidence = 0.0  # what the last look at the lane found is far behind
         else:
             course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
+            clear, unknown = self._clear_of_false(memory, cones, seen_xy_m)
+            if clear < DOUBTFUL:
+                course = replace(course, note="; ".join(filter(None, (unknown, course.note))))
+            course = replace(course, confidence=float(clear * course.confidence))
             if doubt:
                 course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
         self._count(cones, course.path_m, here)
@@ -83,6 +91,20 @@ class LapStrategy:
         if self._finished_at_m is not None:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
         return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
+
+    def _clear_of_false(self, memory: ConeMemory, cones: Cones, seen_xy_m: Floats) -> tuple[float, str]:
+        """The share of confidence that is left by cones seen where none stand, and the note on it.
+
+        Without colours fewer of them are enough to make a lane where there is none.
+        """
+        if len(seen_xy_m) and len(cones.xy_m):
+            sure = cones.xy_m[memory.sure(cones.index)]
+            known = np.count_nonzero(gaps(seen_xy_m, sure).min(axis=1, initial=math.inf) < KNOWN_M)
+            self._known += NEWEST_KNOWN * (known / len(seen_xy_m) - self._known)
+        colored = np.count_nonzero(cones.color) / max(1, len(cones.color))
+        none = KNOWN_NONE[0] + colored * (KNOWN_NONE[1] - KNOWN_NONE[0])
+        share = min(max((self._known - none) / KNOWN_SPAN, 0.0), 1.0)
+        return share, f"{100.0 * (1.0 - self._known):.0f} % of the cones seen stand where none was before"
 
     def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion, middle: Floats | None) -> Course:
         """The way on in the lane that the cones around the car make. `middle`: the lane's by the map (vehicle)."""

@@ -10,7 +10,7 @@ from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.acceleration_strategy import AccelerationStrategy
 from fsai_vcu.core.planning.cone_memory import ConeMemory, believable
-from fsai_vcu.core.planning.course import Course, Strategy
+from fsai_vcu.core.planning.course import Course, Evidence, Strategy
 from fsai_vcu.core.planning.lap_strategy import LapStrategy
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.planning.skidpad_strategy import SkidpadStrategy
@@ -45,6 +45,7 @@ class Planner:
         self._run = run
         self._memory.clear()
         self._strategy = self._strategy_for(run.mission)
+        self._evidence = Evidence()
         self._last: Motion | None = None
         self._anchor_due = False  # at the next observation: the car stands there for 3 s
 
@@ -74,9 +75,10 @@ class Planner:
         if self._anchor_due:
             self._anchor_due = False
             self._strategy.anchor(there)
+            self._evidence = Evidence()
         xy, color = believable(obs, self._settings)
         self._memory.add(xy, color, there)
-        course = self._strategy.plan(self._memory, xy, there)
+        course = self._evidence.judged(self._strategy.plan(self._memory, xy, there), there)
         return Plan(
             t_sensor_ns=obs.t_ns,
             run_id=self._run.run_id,

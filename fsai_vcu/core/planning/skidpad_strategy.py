@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.registration import from_car
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.missions.skidpad import advance_skidpad, laps_done, search_skidpad, skidpad_course, staged
+from fsai_vcu.core.missions.skidpad import (
+    advance_skidpad,
+    laps_done,
+    off_course,
+    search_skidpad,
+    skidpad_course,
+    staged,
+)
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import Course, Sight
+from fsai_vcu.core.planning.course import DOUBTFUL, Course, Fit, Sight
 from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -31,7 +40,7 @@ class SkidpadStrategy:
     def anchor(self, motion: Motion) -> None:
         self._state = staged(motion)
         self._anchored_at_m = motion.distance_m
-        self._sight = Sight(motion)
+        self._sight, self._fit = Sight(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         course = self._course
@@ -50,4 +59,6 @@ class SkidpadStrategy:
             return Course(lane, confidence=0.5, note="along the lane in: the circles have not been found yet")
         path = from_car(state.pose, course.path(state.progress_m + ahead))
         left = course.finish_m + self._missions.skidpad_stop_m - state.progress_m
-        return Course(path, laps_done(course, state), finished, max(0.0, left))
+        sure = self._fit.of(memory, memory.around(motion), seen_xy_m, partial(off_course, course, state))
+        note = "" if sure > DOUBTFUL else "the cones seen do not stand where the skidpad has them"
+        return Course(path, laps_done(course, state), finished, max(0.0, left), confidence=sure, note=note)
