@@ -25,6 +25,7 @@ from fsai_hil.simulator.profiles import SPECIFICATION
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.qos import FRAMES, TOPICS
 from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.planning.course import DOUBTED_M, DOUBTED_S, FLOOR
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import LIMITERS
 from fsai_vcu.core.supervision.reasons import Reason
@@ -140,6 +141,13 @@ def give_up() -> str:
         f"A car that has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, is"
         "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words. One that drives its own way"
         "\nagain without passing the line has lost the lane: it gets no path any more, stops, and ends like that."
+        "\n"
+        "\nThe planner's confidence falls with what it sees: another way than a moment ago, a car beside its path,"
+        "\ncones where none stood, cones that are not where skidpad or acceleration have them. Where its average over"
+        f"\nsome looks stays under {FLOOR:g} for {DOUBTED_M:g} m of way, or for {DOUBTED_S:g} s if that is longer,"
+        "\nthe planner is *lost*: the plan is the way to a stop at once, along the last path that was not in doubt, and"
+        "\n`/planner_status`, `fsai-vcu status` and the pit wall say so and why. Once the car stands and sees its way"
+        "\nagain for a second, it drives on."
     )
 
 

@@ -104,7 +104,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "not_selected_simulator": "keep RUNNING while driving, then FINISHED at rest",
     "not_driven": (
-        "see what the planner says: no cones, no path among them, or another mission than this track's "
+        "see what the planner says: lost and why, no cones, no path among them, or another mission than this track's "
         "(fsai-vcu status: why not driving)"
     ),
     "stop_asked": "look in the software's own log for the stop's cause",

@@ -184,6 +184,8 @@ class Controller:
             self._accelerated_ns = now_ns
         else:
             throttle, brake = self._drive(plan, motion, run, now_ns)
+            if plan is not None and plan.lost:
+                self._note, throttle, brake = plan.note, 0.0, max(brake, self._settings.final_brake)
             self._give_up(vehicle_standing, now_ns)
         return VehicleCommand(
             t_sensor_ns=plan.t_sensor_ns if plan is not None else motion.t_ns,
@@ -244,9 +246,7 @@ class Controller:
         if self._finished:
             return 0.0, settings.final_brake
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
-        if plan.lost:
-            self._note = plan.note
-        elif plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
+        if plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
             self._note = "the path ends and is not believed to go on" + (f": {plan.note}" if plan.note else "")
         if age_s > settings.plan_old_s:
             self._note = f"the plan is {age_s:.1f} s old"

@@ -47,7 +47,7 @@ class ControllerSettings(Value, frozen=True):
     plan_old_s: float = 0.4  # no throttle on an older plan
     plan_lost_s: float = 0.8  # brake on an older one
     gentle_brake: Annotated[float, within(0.0, 1.0)] = 0.2  # without a path
-    final_brake: Annotated[float, within(0.05, 1.0)] = 0.3  # after the end
+    final_brake: Annotated[float, within(0.05, 1.0)] = 0.3  # after the end; at least so much where the planner is lost
     path_min_m: float = 1.5  # a shorter path is none
     give_up_s: Annotated[float, within(5.0, 600.0)] = 30.0  # of standing where the car should drive: then ESTOP_REQUEST
 
