@@ -45,7 +45,7 @@ BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
 MARGIN = 1.0  # by so much (about the reward of a cone) another way has to be worse for two thirds of confidence
 ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
-ARCS_AHEAD = 4  # of the car, those believed from the last look included
+ARCS_AHEAD, ARCS_LEAST = 4, 2  # of the car, those believed from the last look included
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 FIRST_GAP_M = 12.0  # to the first cones of a car that is staged before its lane begins: none stand behind it
@@ -360,7 +360,9 @@ def _search(
     points = np.empty((turn.size + 1, 2))
     points[:-1, 0], points[:-1, 1] = (x + along * np.cos(turn)).ravel(), (y + along * np.sin(turn)).ravel()
     points[-1] = last
-    return points, _margin(history, poses, max(1, ARCS_AHEAD - round(begin.along_m / step)))
+    # Beyond what is seen one way is as good as another.
+    arcs = min(ARCS_AHEAD, max(ARCS_LEAST, int(unseen_m / step)))
+    return points, _margin(history, poses, max(1, arcs - round(begin.along_m / step)))
 
 
 def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
