@@ -1,0 +1,136 @@
+"""Evidence: when a planner doubts its course, when it is lost, and when it knows the way again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.planning.cone_memory import ConeMemory
+from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit
+from fsai_vcu.core.planning.settings import PlannerSettings
+
+LOOK_NS, SPEED_MPS = 50_000_000, 4.0
+STRAIGHT = np.column_stack((np.arange(0.0, 20.0, 0.5), np.zeros(40)))
+SURE = Course(STRAIGHT, supported_m=15.0)
+UNSURE = replace(SURE, confidence=0.1, note="a fork")
+
+
+def looks(speed_mps: float = SPEED_MPS, begin: Motion | None = None) -> Iterator[Motion]:
+    """The car's motion straight on, look after look."""
+    motion = begin or Motion(speed_mps=speed_mps)
+    while True:
+        step_m = speed_mps * LOOK_NS / 1e9
+        way = motion.x_m + step_m
+        motion = replace(
+            motion, t_ns=motion.t_ns + LOOK_NS, x_m=way, distance_m=motion.distance_m + step_m, speed_mps=speed_mps
+        )
+        yield motion
+
+
+def lost() -> tuple[Evidence, Motion]:
+    """A planner that has become so, and where."""
+    evidence, motion = Evidence(), Motion()
+    for count, motion in enumerate(looks()):
+        if evidence.judged(SURE if count < 20 else UNSURE, motion).note.startswith("lost"):
+            break
+    return evidence, motion
+
+
+def test_a_course_borne_out_is_handed_on_as_it_is() -> None:
+    evidence = Evidence()
+    assert all(evidence.judged(SURE, motion) == SURE for motion, _ in zip(looks(), range(50), strict=False))
+
+
+def test_lasting_doubt_is_lost_before_the_car_is_far() -> None:
+    evidence, begun_m = Evidence(), None
+    for count, motion in enumerate(looks()):
+        course = evidence.judged(SURE if count < 20 else UNSURE, motion)
+        if count == 20:
+            begun_m = motion.distance_m
+        if course.note.startswith("lost"):
+            break
+    assert begun_m is not None and DOUBTED_M < motion.distance_m - begun_m < 4.0
+    assert course.note == "lost: a fork"
+    assert (course.confidence, course.mapped) == (0.0, False) and course.supported_m < 0.5
+    assert len(course.path_m) > 20, "it needs a way to stop on"
+
+
+def test_a_car_that_stands_in_doubt_is_not_lost_yet() -> None:
+    evidence = Evidence()
+    for motion, _ in zip(looks(0.0), range(200), strict=False):
+        assert evidence.judged(UNSURE, motion).note == "a fork"
+
+
+def test_one_look_elsewhere_does_not_turn_the_car() -> None:
+    evidence, aside = Evidence(), replace(SURE, path_m=np.array((0.0, 1.0)) + STRAIGHT)
+    for count, motion in enumerate(looks()):
+        course = evidence.judged(aside if count == 20 else SURE, motion)
+        assert abs(float(course.path_m[0, 1])) < 1e-9
+        if count == 20:
+            assert course.confidence < FLOOR and "another one" in course.note
+        if count == 30:
+            break
+    assert course == SURE
+
+
+def test_a_way_kept_ends_after_some_metres() -> None:
+    evidence, bend = Evidence(), replace(UNSURE, path_m=np.array((0.0, 0.1)) + STRAIGHT)
+    for count, motion in enumerate(looks(1.0)):
+        course = evidence.judged(SURE if count < 20 else bend, motion)
+        if course.note.startswith("lost"):
+            break
+    assert motion.distance_m < 1.0 + KEPT_M + DOUBTED_M
+
+
+def test_the_farther_beside_its_path_the_less_sure() -> None:
+    sure = [
+        Evidence().judged(replace(SURE, path_m=np.array((0.0, y)) + STRAIGHT), Motion()) for y in (0.2, 0.5, 0.7, 1.0)
+    ]
+    confidences = [course.confidence for course in sure]
+    assert confidences == sorted(confidences, reverse=True) and (confidences[0], confidences[-1]) == (1.0, 0.0)
+    assert sure[0].note == "" and sure[-1].note == "the car is 1.0 m beside its path"
+
+
+@pytest.mark.parametrize(("speed", "course", "again"), [(0.0, SURE, True), (1.0, SURE, False), (0.0, UNSURE, False)])
+def test_a_lost_car_drives_on_from_rest_when_it_sees_its_way(speed: float, course: Course, again: bool) -> None:
+    evidence, there = lost()
+    notes = [evidence.judged(course, motion).note for motion, _ in zip(looks(speed, there), range(60), strict=False)]
+    assert notes[15].startswith("lost"), "not before a second has passed"
+    assert (not notes[-1].startswith("lost")) is again
+
+
+def test_a_finished_mission_stops_where_it_has_to() -> None:
+    evidence = Evidence()
+    for motion, _ in zip(looks(), range(100), strict=False):
+        course = evidence.judged(replace(UNSURE, finished=True, stop_distance_m=5.0), motion)
+        assert not course.note.startswith("lost")
+
+
+ROWS = np.array([(x, y) for x in (1.0, 4.0, 7.0) for y in (1.5, -1.5)])
+
+
+def beside_rows(xy_m: Floats) -> Floats:
+    return np.abs(np.abs(xy_m[:, 1]) - 1.5)
+
+
+@pytest.mark.parametrize(
+    ("moved", "fits"),
+    [
+        (lambda xy: xy, lambda sure: sure == 1.0),
+        (lambda xy: xy + np.array((0.0, 1.0)), lambda sure: sure == 0.0),
+        (lambda xy: xy[:2], lambda sure: 0.3 < sure < 1.0),  # too few to bear out all of it
+        (lambda xy: xy[:0], lambda sure: sure == 1.0),  # nothing seen says nothing
+    ],
+)
+def test_a_known_course_is_as_sure_as_the_cones_fit(
+    moved: Callable[[Floats], Floats], fits: Callable[[float], bool]
+) -> None:
+    memory, xy = ConeMemory(PlannerSettings()), moved(ROWS)
+    for _ in range(5):
+        memory.add(xy, np.full(len(xy), int(ConeColor.UNKNOWN)), Motion())
+    assert fits(Fit().of(memory, memory.around(Motion()), xy, beside_rows))
