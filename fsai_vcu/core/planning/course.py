@@ -21,12 +21,11 @@ BLIND_MAX_M = 12.0  # driven by odometry alone where the way is known from the c
 CONES_MIN = 2  # in one look, that keep a way believed
 
 DOUBTFUL = 0.5  # with no more confidence a note says why
-# A car that goes on under the floor of confidence is lost.
-FLOOR, FLOOR_AGAIN = 0.3, 0.5  # of the confidence averaged over some looks; the higher one ends being lost …
-NEWEST = 0.2  # share of the newest look in that average
+# A car that goes on under the floor of confidence, averaged over some looks, is lost.
+FLOOR, NEWEST = 0.3, 0.2  # the latter is the share of the newest look in that average
 DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
+FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, S  # above which a lost car that stands drives on, if it lasts
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
-AT_REST_MPS, AGAIN_NS = 0.1, S  # … where the car stands, if it lasts
 ASIDE_M = (0.3, 0.8)  # beside its path: from the first on confidence falls, at the second none is left
 LOST_BRAKING_MPS2 = 4.0
 STOP_HERE_M = 0.1  # of way borne out: less than to the car's nose
