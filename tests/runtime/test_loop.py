@@ -36,6 +36,7 @@ from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime import loop as loop_module
 from fsai_vcu.runtime import loop_handle as handle_module
+from fsai_vcu.runtime import turns as turns_module
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.link import Ended
 from fsai_vcu.runtime.pacing import MIN_GAP_NS
@@ -178,7 +179,7 @@ def test_a_cycle_made_in_time_but_sent_late_is_a_loop_fault(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
-    encode = loop.loop._codec.encode_command
+    encode = CODEC.encode_command
 
     def named() -> bool:
         return any(int(why.split()[4]) >= 300 for why in said)
@@ -189,7 +190,7 @@ def test_a_cycle_made_in_time_but_sent_late_is_a_loop_fault(
         return encode(*args)
 
     monkeypatch.setattr(loop.loop._bridge, "loop_fault", lambda why, _now_ns: said.append(why))
-    monkeypatch.setattr(loop.loop._codec, "encode_command", slow_until_named)
+    monkeypatch.setattr(CODEC, "encode_command", slow_until_named)
     assert eventually(named)
 
 
@@ -242,7 +243,7 @@ def test_a_late_request_is_refused_but_an_emergency_is_done(
 def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", WAIT_NS)
+    monkeypatch.setattr(turns_module, "EDGE_HUNG_NS", WAIT_NS)
     with systemd(tmp_path, monkeypatch, 20_000) as told:
         loop = ThreadedLoop(spec)
         loop.start()
@@ -256,7 +257,7 @@ def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
         monkeypatch.setattr(loop_module, "open_bus", absent)
         monkeypatch.setattr(CanBus, "drain", gone)
         # In the longest pause between two tries to open it, too.
-        assert eventually(lambda: loop.loop._pause_s == loop_module._REOPEN_MOST_S)
+        assert eventually(lambda: loop.loop._turns._pause_ns == turns_module.REOPEN_MOST_NS)
         while not told_nothing(told):
             pass
         assert told.recv(64) == b"WATCHDOG=1"
@@ -299,7 +300,8 @@ def test_a_queue_that_stays_full_reopens_the_bus_ever_less_often(
     assert all(pause >= least for pause, least in zip(pauses_ms, (10, 20, 40, 80), strict=False)), pauses_ms
     told = [record.getMessage() for record in caplog.records if record.levelname in ("ERROR", "WARNING")]
     assert len([line for line in told if "no complete cycle sent for" in line]) == 1, told
-    assert eventually(lambda: loop.report().bus_lost is None and loop.loop._pause_s == loop_module._REOPEN_FIRST_S)
+    assert eventually(lambda: loop.report().bus_lost is None)
+    assert eventually(lambda: loop.loop._turns._pause_ns == turns_module.REOPEN_FIRST_NS)
 
 
 def test_a_single_full_queue_is_counted_and_the_bus_stays_open(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -384,14 +386,12 @@ def starve(loop: ThreadedLoop, told: socket.socket) -> None:
 def test_cycles_past_their_deadline_do_not_feed_the_watchdog(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", WAIT_NS)
+    monkeypatch.setattr(turns_module, "EDGE_HUNG_NS", WAIT_NS)
     with systemd(tmp_path, monkeypatch, 2_000) as told:
         loop = ThreadedLoop(spec)
-        late = threading.Event()
-        monkeypatch.setattr(loop.loop, "_missed", lambda *_: late.is_set())
-        late.set()
+        monkeypatch.setattr(turns_module, "DEADLINE_MISS_NS", -WAIT_NS)
         starve(loop, told)
-        late.clear()
+        monkeypatch.setattr(turns_module, "DEADLINE_MISS_NS", WAIT_NS)
         assert told.recv(64) == b"WATCHDOG=1"
         loop.stop()
 
@@ -399,7 +399,7 @@ def test_cycles_past_their_deadline_do_not_feed_the_watchdog(
 def test_a_silent_edge_starves_the_watchdog_but_in_a_drive(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", 0)
+    monkeypatch.setattr(turns_module, "EDGE_HUNG_NS", 0)
     with systemd(tmp_path, monkeypatch, 2_000) as told:
         loop = ThreadedLoop(spec)
         starve(loop, told)
