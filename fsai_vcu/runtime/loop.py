@@ -29,6 +29,7 @@ from fsai_vcu.runtime.turns import Action, Do, Note, Send, Turns
 logger = logging.getLogger(__name__)
 
 _IDLE_WAIT_S, _BLIND_WAIT_S = 0.02, 0.001
+_FULL_COLLECTION_EVERY = 3000  # cycles
 
 # What the bridge has use for; intruders on the AI's own ids are received on purpose.
 RECEIVE_IDS = frozenset({0x120, *range(0x500, 0x503), *range(0x510, 0x515), *range(0x520, 0x527), *range(0x600, 0x641)})
@@ -54,6 +55,7 @@ class BridgeLoop:
         self._turns = self._new_turns()
         self._refused: tuple[str, ...] = ()
         self._ended = False
+        self._cycles = 0
 
     def run(self, number: int) -> None:
         """Until the end. An exception is reported to the edge and ends it; nothing is raised.
@@ -90,22 +92,17 @@ class BridgeLoop:
                 self._link.send(Answer(self._turns.stop_number, True))
 
     def _new_turns(self) -> Turns:
-        settings = self._settings
-        return Turns(
-            self._bridge,
-            self._codec,
-            time.monotonic_ns(),
-            bus=settings.bus,
-            report_period_ns=settings.report_period_ns,
-            watchdog_period_ns=self._notifier.watchdog_period_ns,
-        )
+        periods_ns = self._settings.report_period_ns, self._notifier.watchdog_period_ns
+        return Turns(self._bridge, self._codec, time.monotonic_ns(), self._settings.bus, *periods_ns)
 
     # ------------------------------------------------------------ a turn
 
     def _turn(self) -> None:
         turns, bus = self._turns, self._bus
         try:
-            self._sleep((turns.due_ns() - time.monotonic_ns()) / 1e9)
+            wait_s = (turns.due_ns() - time.monotonic_ns()) / 1e9
+            if wait_s > 0.0:
+                select.select(self._inputs, [], [], min(wait_s, self._longest_wait_s))
             turns.awake(time.monotonic_ns())
             frames = () if bus is None else bus.drain()
             messages = self._read_edge()
@@ -115,11 +112,6 @@ class BridgeLoop:
             self._do(turns.act(time.monotonic_ns()))
         except BusLost as lost:
             self._do(turns.lost(str(lost), time.monotonic_ns()))
-
-    def _sleep(self, most_s: float) -> None:
-        """Until something has come, or `most_s` have passed."""
-        if most_s > 0.0:
-            select.select(self._inputs, [], [], min(most_s, self._longest_wait_s))
 
     def _read_edge(self) -> list[Message] | None:
         """What the edge has sent; None once it is gone."""
@@ -135,13 +127,9 @@ class BridgeLoop:
             match action:
                 case Send(frames):
                     self._do(self._send(frames))
+                    self._collect()
                 case Do.REPORT:
                     self._report()
-                case Do.COLLECT:
-                    gc.collect(0)
-                case Do.COLLECT_ALL:
-                    gc.collect(2)
-                    self._lock.answer_probes()
                 case Do.FEED:
                     self._notifier.send("WATCHDOG=1")
                 case Do.CLOSE:
@@ -168,6 +156,14 @@ class BridgeLoop:
             if not complete:
                 break
         return self._turns.sent(complete, left_ns, time.monotonic_ns())
+
+    def _collect(self) -> None:
+        """The garbage of a cycle, sent or not; seldom all of it, and what else may take its time."""
+        self._cycles += 1
+        full = self._cycles % _FULL_COLLECTION_EVERY == 0
+        gc.collect(2 if full else 0)
+        if full:
+            self._lock.answer_probes()
 
     def _report(self) -> None:
         turns, report = self._turns, self._bridge.report(time.monotonic_ns())

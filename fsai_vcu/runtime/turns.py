@@ -32,7 +32,6 @@ from fsai_vcu.runtime.pacing import Pacing
 DEADLINE_MISS_NS = 50_000_000  # safety: a deadline missed by 50 ms is a fault of the loop
 REOPEN_FIRST_NS, REOPEN_MOST_NS = 10_000_000, 1_000_000_000  # the first pause also keeps two sends apart
 EDGE_HUNG_NS = 3_000_000_000  # it reports once a second that it runs
-_FULL_COLLECTION_EVERY = 3000  # cycles, sent or not
 
 
 class Do(Enum):
@@ -42,15 +41,12 @@ class Do(Enum):
     CLOSE = "close the bus"
     REPORT = "send a report to the edge"
     FEED = "feed the watchdog"
-    COLLECT = "collect the garbage of a cycle"
-    COLLECT_ALL = "collect all garbage, and let the lock answer its probes"
     END = "end: no further turn"
 
 
 class Send(NamedTuple):
-    """Send a cycle's frames; where one is not taken, not the rest, which would be a mixture of two commands.
-
-    No frames: the cycle is a silent one.
+    """Send a cycle's frames, none in a silent one; after one that is not taken the rest would be a mixture of two
+    commands. Then there is time for whatever may take its time.
     """
 
     frames: tuple[Frame, ...]
@@ -77,7 +73,6 @@ class Turns:
         bridge: Bridge,
         codec: Codec,
         now_ns: int,
-        *,
         bus: str = "the bus",
         report_period_ns: int = 10_000_000,
         watchdog_period_ns: int | None = None,
@@ -94,7 +89,6 @@ class Turns:
         self._edge_ns = now_ns  # when the edge last sent anything
         self._report_ns = self._fed_ns = 0  # when a report was last sent, and the watchdog fed
         self._stopping = False
-        self._cycles = 0  # sent or not
         self._pause_ns = REOPEN_FIRST_NS  # before the next try to open a lost bus
         self._loud = True  # the loss in hand is written into the log
         self._begin(now_ns)
@@ -104,8 +98,7 @@ class Turns:
         self._pacing = Pacing(now_ns)
         self._open_ns: int | None = None  # when to try to open a lost bus
         self._missed = False  # the deadline of the cycle that is due
-        self._cycle_ns = now_ns  # when the cycle that is being sent was made,
-        self._silent = True  # and whether it has no frames
+        self._cycle_ns = now_ns  # when the cycle that is being sent was made
         self._whole_ns: int | None = None  # the last cycle that was sent whole, or the first that was tried
 
     @property
@@ -182,10 +175,8 @@ class Turns:
             case Ask(what="reset"):
                 accepted, message = self._bridge.reset(now_ns)
             case _:
-                accepted, message = (
-                    False,
-                    f"{ask.what} is no request to a CAN loop that runs, or not with that argument",
-                )
+                accepted = False
+                message = f"{ask.what} is no request to a CAN loop that runs, or not with that argument"
         return (Answer(ask.number, accepted, shortened(message)),)
 
     def act(self, now_ns: int) -> tuple[Action, ...]:
@@ -201,17 +192,16 @@ class Turns:
             return (Do.OPEN,)
         self._judge(now_ns)
         command = self._bridge.cycle(now_ns)
-        self._cycle_ns, self._silent = now_ns, command is None
+        self._cycle_ns = now_ns
         return (Send(() if command is None else self._codec.encode_command(command, now_ns)),)
 
     def sent(self, complete: bool, left_ns: int | None, now_ns: int) -> tuple[Action, ...]:
-        """The frames of a Send have gone out by `now_ns`, all of them if `complete`, the first at `left_ns`.
-
-        The next cycle keeps its distance from the frame, not from the wish to send it. None: there was no frame.
+        """A Send was carried out by `now_ns`, `complete` if everything was taken. `left_ns`: when the first frame left, from
+        which the next cycle keeps its distance; None where there was no frame.
         """
         cycle_ns, config = self._cycle_ns, self._bridge.config
-        if self._silent:
-            left_ns = self._whole_ns = None
+        if left_ns is None:
+            self._whole_ns = None
         else:
             self._bridge.on_sent(complete, cycle_ns)
             if complete or self._whole_ns is None:
@@ -219,7 +209,7 @@ class Turns:
             unsent_ns = cycle_ns - self._whole_ns
             if unsent_ns >= config.send_lost_ns:
                 return self.lost(f"{self._bus}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms", now_ns)
-        if (complete and not self._silent) or config.listen_only:
+        if (complete and left_ns is not None) or config.listen_only:
             self._pause_ns = REOPEN_FIRST_NS  # the bus works again
         self._judge(now_ns)  # made in time, it may have left late
         fed = () if self._missed else self._feed(cycle_ns)
@@ -227,9 +217,7 @@ class Turns:
         self._pacing.on_sent(cycle_ns if left_ns is None else left_ns)
         if self._stopping and self._bridge.stopped:
             return *fed, Do.REPORT, Do.END
-        self._cycles += 1
-        collect = Do.COLLECT if self._cycles % _FULL_COLLECTION_EVERY else Do.COLLECT_ALL
-        return *fed, *self._report(now_ns), collect  # what may take its time, right after a send
+        return *fed, *self._report(now_ns)
 
     # ------------------------------------------------------------ the bus comes and goes
 

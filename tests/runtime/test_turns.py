@@ -19,7 +19,6 @@ from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.units import MS
-from fsai_vcu.runtime import turns as turns_module
 from fsai_vcu.runtime.link import Alive, Answer, Ask, Ended, Message, Request, ResetConfirmed
 from fsai_vcu.runtime.turns import Action, Do, Note, Send, Turns
 
@@ -54,8 +53,8 @@ class Rig:
         for action in actions:
             self.done.append(action)
             if isinstance(action, Send):
-                complete = self.takes or not action.frames
-                self.do(self.turns.sent(complete, self.now_ns, self.now_ns + self.sending_ns))
+                left_ns = self.now_ns if action.frames else None
+                self.do(self.turns.sent(self.takes or left_ns is None, left_ns, self.now_ns + self.sending_ns))
             elif isinstance(action, Ask):
                 self.do(self.turns.answer(action, self.now_ns))
 
@@ -126,15 +125,6 @@ def test_of_several_commands_the_newest_counts() -> None:
     assert rig.bridge.state.command is commands[-1] and rig.bridge.state.command_ns == 311 * MS
     assert rig.bridge.state.supervisor.confirmed == {"planner"}
     assert rig.done == [Note(logging.ERROR, "Ended is no message to the CAN loop")]
-
-
-@pytest.mark.parametrize("config", [BridgeConfig(), LISTENING])
-def test_a_full_collection_is_rare_whether_cycles_are_sent_or_not(
-    config: BridgeConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(turns_module, "_FULL_COLLECTION_EVERY", 40)
-    done = settled(config=config).follow(OFF, 800 * MS)  # cycles 31 to 80
-    assert done.count(Do.COLLECT_ALL) == 2 and done.count(Do.COLLECT) == 48
 
 
 # ---------------------------------------------------------------- late

@@ -39,7 +39,6 @@ from fsai_vcu.interface.messages import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.runtime.bus import BusLost
 from fsai_vcu.runtime.link import Ask, Message, Request, ResetConfirmed
 from fsai_vcu.runtime.turns import Action, Do, Send, Turns
 
@@ -127,7 +126,7 @@ class Run:
         self._motor_brakes = False  # the rear motor's speed limit is 0, so its torque brakes
         self._request_deg = 0.0
         self._dropping = (0, 0)
-        self._breaking: tuple[int, float] | None = None
+        self._breaks_at, self._broken_ms = math.inf, 0.0
         self._taken = 0
 
     def _new_process(self) -> None:
@@ -228,12 +227,13 @@ class Run:
 
     def breaks(self, takes: int, ms: float) -> None:
         """The bus breaks in the next cycle after so many frames, and can be opened again after `ms`."""
-        self._breaking = (takes, ms)
+        self._breaks_at, self._broken_ms = takes, ms
 
     def lost(self, ms: float) -> None:
         """The bus is lost, and can be opened again after `ms`."""
         if self._turns.has_bus and self._running:
-            self._lose("Network is down", ms)
+            self._no_bus_until_ns = self.now_ns + round(ms * MS)
+            self._turns.lost("Network is down", self.now_ns)
 
     def restart(self) -> None:
         """The process is killed and starts anew."""
@@ -333,10 +333,11 @@ class Run:
 
     def _tell(self, message: Message) -> None:
         if self._running:
-            self._do(self._turns.on_edge((message,), self.now_ns))
+            self._turns.on_edge((message,), self.now_ns)
 
     def _ask(self, what: Request, argument: str | None = None) -> None:
-        self._tell(Ask(0, what, argument, until_ns=self.now_ns + 1, better_late=False))
+        if self._running:
+            self._turns.answer(Ask(0, what, argument, self.now_ns + 1, better_late=False), self.now_ns)
 
     # ------------------------------------------------------------ the loop
 
@@ -366,8 +367,6 @@ class Run:
         turns, now_ns = self._turns, self.now_ns
         for action in actions:
             match action:
-                case Ask():
-                    turns.answer(action, now_ns)
                 case Send(frames):
                     self._send_all(frames)
                 case Do.OPEN if now_ns < self._no_bus_until_ns:
@@ -379,26 +378,21 @@ class Run:
     def _send_all(self, frames: tuple[Frame, ...]) -> None:
         now_ns = self.now_ns
         self._taken = 0
-        try:
-            complete = all(map(self._send, frames))
-        except BusLost as lost:
-            self._checker.cycle_over(now_ns)
-            assert self._breaking is not None
-            ms, self._breaking = self._breaking[1], None
-            self._lose(str(lost), ms)
-            return
+        complete = all(map(self._send, frames))
         self._checker.cycle_over(now_ns, bool(frames))
+        if frames and self._taken >= self._breaks_at:
+            self._breaks_at = math.inf
+            self.lost(self._broken_ms)
+            return
         if frames and self._dropping[0] > 0:
             self._dropping = (self._dropping[0] - 1, self._dropping[1])
-        self._do(self._turns.sent(complete, now_ns, now_ns))
+        self._do(self._turns.sent(complete, now_ns if frames else None, now_ns))
         if self._turns.has_bus:
             self._checker.on_mode_shown(self._bridge.state.supervisor.mode.value)
             self._note_reached()
 
     def _send(self, frame: Frame) -> bool:
-        if self._breaking is not None and self._taken >= self._breaking[0]:
-            raise BusLost("Network is down")
-        if self._dropping[0] > 0 and self._taken >= self._dropping[1]:
+        if self._taken >= self._breaks_at or (self._dropping[0] > 0 and self._taken >= self._dropping[1]):
             return False
         self._taken += 1
         image = self._checker.sent(Frame(frame.can_id, frame.data, self.now_ns))
@@ -417,10 +411,6 @@ class Run:
             self.reached.add(("AS state", state.as_state.name))
         self.reached.add(("phase", decision.phase.name))
         self.reached.update(("reason", reason.slug) for reason in self._bridge.tally.active)
-
-    def _lose(self, why: str, ms: float) -> None:
-        self._no_bus_until_ns = self.now_ns + round(ms * MS)
-        self._turns.lost(why, self.now_ns)
 
 
 # ---------------------------------------------------------------- stations

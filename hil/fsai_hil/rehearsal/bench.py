@@ -198,7 +198,7 @@ def answering(codec: Codec) -> Iterator[tuple[Work, Bridge]]:
             turns.on_edge((), now_ns)
             for action in turns.act(now_ns):
                 if isinstance(action, Send):
-                    turns.sent(all(map(bus.send, action.frames)), now_ns, now_ns)
+                    turns.sent(all(map(bus.send, action.frames)), now_ns if action.frames else None, now_ns)
 
         for _ in range(100):
             turn()

@@ -135,7 +135,8 @@ class OnboardComputer:
         for action in actions:
             match action:
                 case Send(frames):
-                    self._do(self._turns.sent(all(map(self._takes, frames)), now_ns, now_ns), now_ns)
+                    complete, left_ns = all(map(self._takes, frames)), now_ns if frames else None
+                    self._do(self._turns.sent(complete, left_ns, now_ns), now_ns)
                 case Do.OPEN if now_ns < self._no_bus_until_ns:
                     self._do(self._turns.refused("no such device", now_ns), now_ns)
                 case Do.OPEN:
