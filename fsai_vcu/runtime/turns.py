@@ -196,8 +196,9 @@ class Turns:
         return (Send(() if command is None else self._codec.encode_command(command, now_ns)),)
 
     def sent(self, complete: bool, left_ns: int | None, now_ns: int) -> tuple[Action, ...]:
-        """A Send was carried out by `now_ns`, `complete` if everything was taken. `left_ns`: when the first frame left, from
-        which the next cycle keeps its distance; None where there was no frame.
+        """A Send was carried out by `now_ns`, `complete` if everything was taken.
+
+        left_ns: when the first frame left, from which the next cycle keeps its distance; None where there was none.
         """
         cycle_ns, config = self._cycle_ns, self._bridge.config
         if left_ns is None:
