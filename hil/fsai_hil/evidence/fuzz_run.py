@@ -134,7 +134,7 @@ class Run:
         args = (self._car, setup.config, setup.limits, self._first_run_id, self.now_ns)
         self._bridge = WatchedBridge(codec, codec.revision, *args)
         self._bridge.checker = self._checker
-        self._turns = Turns(self._bridge, codec, self.now_ns)
+        self._loop = Turns(self._bridge, codec, self.now_ns)
         self._no_bus_until_ns = self.now_ns
 
     def judge(self) -> None:
@@ -231,9 +231,9 @@ class Run:
 
     def lost(self, ms: float) -> None:
         """The bus is lost, and can be opened again after `ms`."""
-        if self._turns.has_bus and self._running:
+        if self._loop.has_bus and self._running:
             self._no_bus_until_ns = self.now_ns + round(ms * MS)
-            self._turns.lost("Network is down", self.now_ns)
+            self._loop.lost("Network is down", self.now_ns)
 
     def restart(self) -> None:
         """The process is killed and starts anew."""
@@ -311,8 +311,8 @@ class Run:
         self._followed_deg += max(-step, min(step, target - self._followed_deg))
 
     def _deliver(self, frame: Frame) -> None:
-        if self._turns.has_bus and self._running:
-            self._turns.on_frames((frame,), frame.t_ns)
+        if self._loop.has_bus and self._running:
+            self._loop.on_frames((frame,), frame.t_ns)
             self._checker.received(frame)
 
     # ------------------------------------------------------------ planner and controller
@@ -333,11 +333,11 @@ class Run:
 
     def _tell(self, message: Message) -> None:
         if self._running:
-            self._turns.on_edge((message,), self.now_ns)
+            self._loop.on_edge((message,), self.now_ns)
 
     def _ask(self, what: Request, argument: str | None = None) -> None:
         if self._running:
-            self._turns.answer(Ask(0, what, argument, self.now_ns + 1, better_late=False), self.now_ns)
+            self._loop.answer(Ask(0, what, argument, self.now_ns + 1, better_late=False), self.now_ns)
 
     # ------------------------------------------------------------ the loop
 
@@ -348,31 +348,31 @@ class Run:
     def _pass(self, ns: int) -> None:
         """Let time pass; the loop turns whenever something is due."""
         until_ns = self.now_ns + ns
-        while self._running and (due_ns := self._turns.due_ns() + self.late_ns) <= until_ns:
+        while self._running and (due_ns := self._loop.due_ns() + self.late_ns) <= until_ns:
             self.now_ns = max(self.now_ns, due_ns)
             self._turn()
         self.now_ns = until_ns
 
     def _turn(self) -> None:
         """What the loop does between two frames, where it is not late."""
-        turns, now_ns = self._turns, self.now_ns
-        if self._running and now_ns >= turns.due_ns() + self.late_ns:
-            turns.awake(now_ns)
-            if turns.has_bus:
+        loop, now_ns = self._loop, self.now_ns
+        if self._running and now_ns >= loop.due_ns() + self.late_ns:
+            loop.awake(now_ns)
+            if loop.has_bus:
                 self._checker.before_cycle(now_ns)
-            self._do(turns.act(now_ns))
+            self._do(loop.act(now_ns))
 
     def _do(self, actions: Iterable[Action]) -> None:
         """Carry out what there is something for: neither edge, log, watchdog nor garbage is simulated."""
-        turns, now_ns = self._turns, self.now_ns
+        loop, now_ns = self._loop, self.now_ns
         for action in actions:
             match action:
                 case Send(frames):
                     self._send_all(frames)
                 case Do.OPEN if now_ns < self._no_bus_until_ns:
-                    self._do(turns.refused("no such device", now_ns))
+                    self._do(loop.refused("no such device", now_ns))
                 case Do.OPEN:
-                    turns.opened(now_ns)
+                    loop.opened(now_ns)
                     self._turn()
 
     def _send_all(self, frames: tuple[Frame, ...]) -> None:
@@ -386,8 +386,8 @@ class Run:
             return
         if frames and self._dropping[0] > 0:
             self._dropping = (self._dropping[0] - 1, self._dropping[1])
-        self._do(self._turns.sent(complete, now_ns if frames else None, now_ns))
-        if self._turns.has_bus:
+        self._do(self._loop.sent(complete, now_ns if frames else None, now_ns))
+        if self._loop.has_bus:
             self._checker.on_mode_shown(self._bridge.state.supervisor.mode.value)
             self._note_reached()
 
