@@ -17,7 +17,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Sequence
 from enum import Enum
-from typing import NamedTuple
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -25,7 +24,7 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import STATUS_ID
-from fsai_vcu.interface.values import shortened
+from fsai_vcu.interface.values import Value, shortened
 from fsai_vcu.runtime.link import Alive, Answer, Ask, Message, ResetConfirmed
 from fsai_vcu.runtime.pacing import Pacing
 
@@ -44,7 +43,7 @@ class Do(Enum):
     END = "end: no further turn"
 
 
-class Send(NamedTuple):
+class Send(Value, frozen=True):
     """Send a cycle's frames, none in a silent one; after one that is not taken the rest would be a mixture of two
     commands. Then there is time for whatever may take its time.
     """
@@ -52,7 +51,7 @@ class Send(NamedTuple):
     frames: tuple[Frame, ...]
 
 
-class Note(NamedTuple):
+class Note(Value, frozen=True):
     """Write a line into the log."""
 
     level: int  # as in logging
@@ -115,7 +114,7 @@ class Turns:
     def awake(self, now_ns: int) -> None:
         """A turn begins, nothing has been read: a deadline was missed in the state that the car was known to be in."""
         if self._open_ns is None:
-            self._judge(now_ns)
+            self._judge(self._pacing.due_ns(), now_ns)
 
     def on_frames(self, frames: Sequence[Frame], now_ns: int) -> None:
         """Everything that waited on the bus at `now_ns`, oldest first: all of it is received before the next answer.
@@ -181,16 +180,16 @@ class Turns:
 
     def act(self, now_ns: int) -> tuple[Action, ...]:
         """What is due at `now_ns`: the end, a cycle, or a try to open a lost bus."""
-        has_bus = self._open_ns is None
+        has_bus, due_ns = self._open_ns is None, self.due_ns()
         if self._stopping and not has_bus:  # nobody is left to answer
             return Note(logging.INFO, "stopped while the bus was gone"), Do.REPORT, Do.END
         if self._stopping and self._bridge.stopped:
             return Do.REPORT, Do.END
-        if now_ns < self.due_ns():
+        if now_ns < due_ns:
             return () if has_bus else self._report(now_ns)
         if not has_bus:
             return (Do.OPEN,)
-        self._judge(now_ns)
+        self._judge(due_ns, now_ns)
         command = self._bridge.cycle(now_ns)
         self._cycle_ns = now_ns
         return (Send(() if command is None else self._codec.encode_command(command, now_ns)),)
@@ -212,7 +211,7 @@ class Turns:
                 return self.lost(f"{self._bus}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms", now_ns)
         if (complete and left_ns is not None) or config.listen_only:
             self._pause_ns = REOPEN_FIRST_NS  # the bus works again
-        self._judge(now_ns)  # made in time, it may have left late
+        self._judge(self._pacing.due_ns(), now_ns)  # made in time, it may have left late
         fed = () if self._missed else self._feed(cycle_ns)
         self._missed = False
         self._pacing.on_sent(cycle_ns if left_ns is None else left_ns)
@@ -256,9 +255,9 @@ class Turns:
         command = self._bridge.cycle(now_ns)
         return () if command is None else self._codec.encode_command(command)
 
-    def _judge(self, now_ns: int) -> None:
-        """Whether what is due is so late that the bridge must know; it is told once."""
-        late_ns = now_ns - self._pacing.due_ns()
+    def _judge(self, due_ns: int, now_ns: int) -> None:
+        """Whether what was due is so late that the bridge must know; it is told once."""
+        late_ns = now_ns - due_ns
         if late_ns >= DEADLINE_MISS_NS and not self._missed:
             self._missed = True
             self.deadline_misses += 1

@@ -193,9 +193,7 @@ def answering(codec: Codec) -> Iterator[tuple[Work, Bridge]]:
         def turn() -> None:
             number = next(numbers)
             now_ns, status = number * PERIOD_NS, statuses[number & 1]
-            turns.awake(now_ns)
             turns.on_frames((Frame(status.can_id, status.data, now_ns),), now_ns)
-            turns.on_edge((), now_ns)
             for action in turns.act(now_ns):
                 if isinstance(action, Send):
                     turns.sent(all(map(bus.send, action.frames)), now_ns if action.frames else None, now_ns)
