@@ -200,9 +200,7 @@ class Turns:
         left_ns: when the first frame left, from which the next cycle keeps its distance; None where there was none.
         """
         cycle_ns, config = self._cycle_ns, self._bridge.config
-        if left_ns is None:
-            self._whole_ns = None
-        else:
+        if left_ns is not None:
             self._bridge.on_sent(complete, cycle_ns)
             if complete or self._whole_ns is None:
                 self._whole_ns = cycle_ns

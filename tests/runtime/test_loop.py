@@ -349,6 +349,26 @@ def test_a_stop_while_moving_requests_emergency_then_is_silent(spec: str, monkey
     assert all(status.estop_request and status.direction is Direction.FORWARD for status in received[-5:])
 
 
+def test_a_turn_judges_its_deadline_reads_and_then_acts(loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+
+    def note(owner: object, name: str) -> None:
+        def noted(*given: Any) -> Any:
+            order.append(name)
+            return original(*given)
+
+        original = getattr(owner, name)
+        monkeypatch.setattr(owner, name, noted)
+
+    turns = loop.loop._turns
+    turn = {"awake": turns, "drain": loop.loop._bus, "receive": loop.far_end, "on_frames": turns, "on_edge": turns}
+    for name, owner in (turn | {"act": turns}).items():
+        note(owner, name)
+    assert eventually(lambda: len(order) > 80)
+    begun = order.index("awake", -40)
+    assert order[begun : begun + 12] == [*turn, "act"] * 2
+
+
 def test_a_hang_is_told_before_the_first_cycle_after_it(loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
     cycle = loop.loop._bridge.cycle

@@ -130,6 +130,14 @@ def test_of_several_commands_the_newest_counts() -> None:
 # ---------------------------------------------------------------- late
 
 
+def test_frames_that_waited_for_20_ms_are_named() -> None:
+    rig = settled(DRIVING)
+    for oldest_ns, named in ((20 * MS - 1, 0), (20 * MS, 1)):
+        now_ns = rig.now_ns + 25 * MS
+        rig.turn(now_ns, [status(DRIVING, now_ns - oldest_ns), status(DRIVING, now_ns)])
+        assert rig.bridge.tally.counts["backlog"] == named
+
+
 @pytest.mark.parametrize(("known", "waited", "stops"), [(DRIVING, OFF, True), (OFF, DRIVING, False)])
 def test_a_missed_deadline_counts_in_the_state_before_reading(known: AsState, waited: AsState, stops: bool) -> None:
     rig = settled(known)
@@ -197,7 +205,8 @@ def test_pauses_grow_to_a_second_until_a_cycle_is_sent_whole() -> None:
     rig.now_ns = rig.turns.due_ns()
     rig.turns.opened(rig.now_ns)
     rig.takes = False
-    rig.turn(rig.now_ns, [status(OFF, rig.now_ns)])
+    assert rig.turn(rig.now_ns)[0] == Send(()), "until the car is received"
+    rig.turn(rig.now_ns + 10 * MS, [status(OFF, rig.now_ns)])
     rig.lose()
     assert rig.done[0] == Note(logging.DEBUG, "bus lost: Network is down"), "it took nothing: it is not back"
     assert refused_pauses(1) == [1000]
@@ -208,6 +217,7 @@ def test_pauses_grow_to_a_second_until_a_cycle_is_sent_whole() -> None:
     rig.lose()
     assert rig.done[0] == Note(logging.ERROR, "bus lost: Network is down")
     assert refused_pauses(2) == [10, 20]
+    assert rig.turns.deadline_misses == 0, "nothing is due on a lost bus"
 
 
 def test_a_loop_that_only_listens_takes_a_silent_cycle_for_whole() -> None:
