@@ -276,6 +276,11 @@ def test_a_queue_that_stays_full_reopens_the_bus_ever_less_often(
 ) -> None:
     tried_ns: list[int] = []
     pauses_ms: list[float] = []
+    closed: list[CanBus] = []
+
+    def close(self: CanBus) -> None:
+        closed.append(self)
+        original_close(self)
 
     def open_again(*args: object, **kwargs: object) -> CanBus:
         pauses_ms.append((time.monotonic_ns() - tried_ns[-1]) / 1e6)
@@ -285,12 +290,14 @@ def test_a_queue_that_stays_full_reopens_the_bus_ever_less_often(
         tried_ns.append(time.monotonic_ns())
         return False
 
-    original_send = CanBus.send
+    original_send, original_close = CanBus.send, CanBus.close
     monkeypatch.setattr(loop_module, "open_bus", open_again)
+    monkeypatch.setattr(CanBus, "close", close)
     with open_bus(spec) as car:
         status_received(car)
         monkeypatch.setattr(CanBus, "send", refuse)
         assert eventually(lambda: len(pauses_ms) >= 4)
+        assert len(set(closed)) >= 4
         monkeypatch.setattr(CanBus, "send", original_send)
         drop_all(car)
         status_received(car)
