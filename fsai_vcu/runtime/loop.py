@@ -2,8 +2,8 @@
 
 A turn has four phases: *sleep* until a frame or a message of the edge has come or a send is due, *read* everything that
 waits, *update* the bridge with it, *write* what is due. Reports, log lines, the watchdog and the garbage collection
-come after a send. What is done and when is decided by `turns.Turns`; here is what it does that with. The edge (the ROS
-node) is at the other end of a link on which nobody waits.
+come after a send. `turns.Turns` decides what is done and when; the loop carries it out. The edge (the ROS node) is at
+the other end of a link on which nobody waits.
 """
 
 from __future__ import annotations

@@ -363,7 +363,7 @@ class Run:
             self._do(loop.act(now_ns))
 
     def _do(self, actions: Iterable[Action]) -> None:
-        """Carry out what there is something for: neither edge, log, watchdog nor garbage is simulated."""
+        """Carry out the actions; reports, the log and the watchdog are not simulated."""
         loop, now_ns = self._loop, self.now_ns
         for action in actions:
             match action:

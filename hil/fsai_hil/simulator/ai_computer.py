@@ -131,7 +131,7 @@ class OnboardComputer:
             self._do(self._turns.act(now_ns), now_ns)
 
     def _do(self, actions: Iterable[Action], now_ns: int) -> None:
-        """Carry out what there is something for: neither edge, log, watchdog nor garbage is simulated."""
+        """Carry out the actions; reports, the log and the watchdog are not simulated."""
         for action in actions:
             match action:
                 case Send(frames):
