@@ -145,7 +145,9 @@ def test_a_log_takes_memory_and_time_as_its_bytes_do(what: str, plain_s_per_mib:
     assert taken_s < max(LEAST_S, TIMES * plain_s_per_mib * path.stat().st_size / MIB)
 
 
-@pytest.mark.parametrize("words", [["stats"], ["explain"], ["report", "-o", "r.html"]], ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words", [["check", "--figures"], ["explain"], ["report", "-o", "r.html"]], ids=lambda words: words[0]
+)
 def test_a_log_that_jumps_by_lifetimes_takes_no_room_for_them(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

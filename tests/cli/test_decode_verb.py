@@ -107,7 +107,7 @@ def test_a_broken_log_is_decoded_up_to_the_break_and_fails(tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize(
-    ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("stats", ""), ("explain", "")]
+    ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("check", ""), ("explain", "")]
 )
 def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered: str, log: Path) -> None:
     log.write_text(GOOD * 20_000)

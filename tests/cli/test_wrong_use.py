@@ -25,7 +25,7 @@ USES = [
     *((f"{verb} run.log --from 500", 1, "run.log is in that part") for verb in ("decode", "dump", "check", "explain")),
     *(
         (f"{verb} {BUS} --seconds 0", 2, "--seconds is 0, not a time")
-        for verb in ("explain", "report -o x.html", "stats")
+        for verb in ("explain", "report -o x.html", "check")
     ),
     *(
         (f"{verb} run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1")
@@ -33,7 +33,7 @@ USES = [
     ),
     *(
         (f"{verb} run.log --seconds 3", 2, "--seconds is for live buses; --from and --to choose a part of a log")
-        for verb in ("check", "stats", "explain", "report -o x.html")
+        for verb in ("check", "explain", "report -o x.html")
     ),
     *(
         (f"{verb} -o run.log", 2, "run.log is the log that is read: it would be written over")
@@ -45,7 +45,11 @@ USES = [
         )
     ),
     ("export run.log --to csv -o tables --dbc foreign.dbc", 1, "nothing to export: the databases name none of the 2"),
-    ("stats run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
+    ("check run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
+    ("record -o run.log", 2, "-i is missing: which bus is recorded (-i), and where (-o)?"),
+    ("record -i no0", 2, "-o is missing: which bus is recorded (-i), and where (-o)?"),
+    ("record -i no0 -o x.log --config x.toml", 2, "--config goes with --service"),
+    ("record --service --config gone.toml", 1, "gone.toml: cannot be read: No such file"),
     ("decode folder", 1, "folder: no log in this folder"),
     # ---------------------------------------------------------------- databases and dumps
     ("dbc show nothing", 1, "no message nothing in 2026"),

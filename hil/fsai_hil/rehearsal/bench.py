@@ -291,7 +291,7 @@ def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]
         "decode": (lambda: _decoded(log, None), frames),
         "values": (lambda: _values(log), frames),
         "check": (lambda: _fsai_vcu("check", log), frames),
-        "stats": (lambda: _fsai_vcu("stats", log), frames),
+        "stats": (lambda: _fsai_vcu("check", "--figures", log), frames),
         # Last those after which the machine goes on writing to the disk for a while.
         "parquet": (lambda: _exported("parquet", log, folder), frames),
         "mcap": (lambda: _exported("mcap", log, folder), frames),
