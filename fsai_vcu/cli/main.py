@@ -38,7 +38,7 @@ OWN_VERBS: Verbs = {
     "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels", "machine"),
     "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)", "other"),
     "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals", "watch"),
-    "decode": (".decode", "decode every frame of a log", "recordings"),
+    "decode": (".dump", "decode every frame of a log: dump, in the format of logs with signals", "recordings"),
     "check": (".check", "say what is wrong on a bus or in a log; with --figures what each message did", "recordings"),
     "monitor": (
         ".monitor",
@@ -102,7 +102,7 @@ def parser_of(verb: str) -> Parser:
     parser = Parser(
         prog=f"fsai-vcu {verb}",
         description=f"{summary[0].upper()}{summary[1:]}.\n\n{getattr(module, 'ABOUT', '')}".rstrip(),
-        epilog=f"example:\n  {module.EXAMPLE}",
+        epilog=f"example:\n  {module.EXAMPLE.replace('VERB', verb)}",  # of a program with two names
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
