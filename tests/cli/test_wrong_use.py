@@ -15,6 +15,8 @@ BUS = "loopback:wrong-use"
 USES = [
     # ---------------------------------------------------------------- what no verb or no file is
     ("fly", 2, "no verb 'fly'"),
+    ("mode auto", 2, "there is no mode 'auto'; did you mean autonomous?"),
+    ("mode sport", 2, "there is no mode 'sport'; manual or autonomous"),
     ("status --wait nan", 2, "--wait is nan, but must be 0 or more"),
     *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
     *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
