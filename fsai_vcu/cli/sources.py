@@ -167,6 +167,8 @@ class Decoding:
         # What is wrong with given files is reported before anything is read.
         for name in self.databases.signed_flags if self._files else ():
             print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
+        for text in self.databases.left_out:
+            print(f"fsai-vcu {verb}: {printable(text)}", file=sys.stderr)
 
     @cached_property
     def databases(self) -> Databases:
