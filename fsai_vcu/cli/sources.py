@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.verdict import Judged
 
 LOG_HELP: Final = (
-    "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input), a folder of logs"
+    "a log (candump, BLF, ASC, MF4, TRC, CSV, pcap and others, packed or not; - is standard input), a folder of logs"
 )
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})

@@ -67,13 +67,13 @@ def trc(version: str) -> str:
 def table(head: str, row: str) -> str:
     each = ((n, i, d) for n, (i, d) in enumerate(ROWS))
     return head + "".join(
-        row.format(n=n, t=f"{T0_S}.{n:02d}0000", ms=n * 10, i=f"{i:X}", l=len(d), x=d.hex(), b=base64.b64encode(d).decode())
+        row.format(t=f"{T0_S}.{n:02d}0000", ms=n * 10, i=f"{i:X}", l=len(d), x=d.hex(), b=base64.b64encode(d).decode())
         for n, i, d in each
-    )  # fmt: skip
+    )
 
 
 def blf(objects: list[bytes] | None = None, *, closed: bool = True, packed: bool = True) -> bytes:
-    objects = [blf_frame(n, i, d) for n, (i, d) in enumerate(ROWS)] if objects is None else objects
+    objects = blf_frames() if objects is None else objects
     inner = b"".join(objects)
     content = zlib.compress(inner) if packed else inner
     container = struct.pack("<H6xL4x", 2 if packed else 0, len(inner)) + content
@@ -93,6 +93,10 @@ def blf_object(kind: int, number: int, body: bytes) -> bytes:
 
 def blf_frame(number: int, can_id: int, data: bytes) -> bytes:
     return blf_object(1, number, struct.pack("<HBBL8s", 1, 0, len(data), can_id, data))
+
+
+def blf_frames() -> list[bytes]:
+    return [blf_frame(n, i, d) for n, (i, d) in enumerate(ROWS)]
 
 
 def packets() -> list[bytes]:
@@ -140,9 +144,8 @@ MADE: dict[str, Callable[[], str | bytes]] = {
     "ASC": asc,
     "ASC without a head": lambda: asc(""),
     **{f"TRC {version}": (lambda v: lambda: trc(v))(version) for version in ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1")},
-    "GVRET": lambda: table(
-        "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n", "{ms}000,{i:0>8},false,Rx,0,{l},{x}\n"
-    ).replace(",false,Rx", ",false,Rx"),
+    "GVRET": lambda: "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
+    + "".join(f"{n * 10_000},{i:08X},false,Rx,0,{len(d)},{hexes(d, ',')},\n" for n, (i, d) in enumerate(ROWS)),
     "python-can CSV": lambda: table(
         "timestamp,arbitration_id,extended,remote,error,dlc,data\n", "{t},0x{i},0,0,0,{l},{b}\n"
     ),
@@ -150,21 +153,17 @@ MADE: dict[str, Callable[[], str | bytes]] = {
     "CANedge CSV": lambda: table(
         "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes\n", "{t};0;{i};0;{l};{l};0;0;0;{x}\n"
     ),
-    "CL2000": lambda: table('# Logger type: CL2000\n# Time format: 0\nTimestamp;Type;ID;Data\n', "{ms:0>5};0;{i};{x}\n"),
+    "CL2000": lambda: table("# Logger type: CL2000\nTimestamp;Type;ID;Data\n", "{ms:0>5};0;{i};{x}\n"),
     "BusMaster": lambda: BUSMASTER_HEAD
     + "".join(f"14:15:00:{n:02d}00 Rx 1 0x{i:X} s {len(d)} {hexes(d)} \n" for n, (i, d) in enumerate(ROWS)),
     "Kvaser": lambda: " Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n"
-    + "".join(f" 0    {i:X}     {len(d)}  {hexes(d, '|').replace('|', '  ')}   {time_s(n)} R\n" for n, (i, d) in enumerate(ROWS)),
+    + "".join(f" 0    {i:X}     {len(d)}  {d.hex(' ')}   {time_s(n)} R\n" for n, (i, d) in enumerate(ROWS)),
     "CRTD": lambda: "".join(f"{T0_S}.{n:02d}0000 1R11 {i:03X} {hexes(d)}\n" for n, (i, d) in enumerate(ROWS)),
     "BLF": blf,
     "BLF not packed": lambda: blf(packed=False),
     "pcap": pcap,
     "pcapng": pcapng,
 }  # fmt: skip
-MADE["GVRET"] = lambda: (
-    "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
-    + "".join(f"{n * 10_000},{i:08X},false,Rx,0,{len(d)},{hexes(d, ',')},\n" for n, (i, d) in enumerate(ROWS))
-)
 
 
 def given(path: Path, content: str | bytes) -> tuple[list[LogFrame], Log]:
@@ -344,7 +343,7 @@ def test_what_is_usual_in_other_tools_rows_is_read(tmp_path: Path) -> None:
   -0.5 1  511  Rx d 2 00 01
   0,010 2  18FF0001x  Tx   d 1 7F  Length = 0 BitCount = 67 ID = 291
   0.020 1  123  Rx   r 4
-  0.030 CANFD   1 Rx        300                                   1 0 9 12 01 02 03 04 05 06 07 08 09 0a 0b 0c 0 0 3000 0 0
+  0.030 CANFD   1 Rx        300         1 0 9 12 01 02 03 04 05 06 07 08 09 0a 0b 0c 0 0 3000 0 0
   0.040 1  124  TxRq   d 1 01
   0.050 1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 1.5%
 """
@@ -368,7 +367,7 @@ ASC_ERRORS += [
 BAD_BUS: dict[str, Callable[[], str | bytes]] = {
     **{f"ASC {row}": (lambda r: lambda: asc() + f"   0.300000 {r}\n")(row) for row in ASC_ERRORS},
     **{
-        f"BLF {kind}": (lambda k, b: lambda: blf([blf_frame(n, i, d) for n, (i, d) in enumerate(ROWS)] + [blf_object(k, 30, b)]))(kind, body)
+        f"BLF {kind}": (lambda k, b: lambda: blf([*blf_frames(), blf_object(k, 30, b)]))(kind, body)
         for kind, body in (
             (2, struct.pack("<HHL", 1, 0, 0)),
             (3, struct.pack("<HHL", 1, 0, 0)),
@@ -531,7 +530,7 @@ def mf4(tmp_path: Path, *, virtual: dict[str, float], unfinished: bool = False) 
     frames = np.zeros(len(ROWS), [(f"CAN_DataFrame.{name}", kind) for name, kind in kinds.items()])
     for n, (can_id, data) in enumerate(ROWS):
         frames[n] = (1, can_id, 0, len(data), len(data), list(data.ljust(8, b"\0")), 0)
-    path = tmp_path / "run.MF4"
+    path = tmp_path / "run.mf4"
     with asammdf.MDF(version="4.10") as mdf:
         source = asammdf.Source("CAN", "CAN", "", 2, 2)
         mdf.append([asammdf.Signal(frames, np.arange(len(ROWS)) / 100, name="CAN_DataFrame", source=source)])

@@ -28,7 +28,7 @@ _INTERFACES: Final = 256
 def read_capture(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFrame]:
     """All CAN frames of a capture. Raises ReadingEnds where it ends before its end."""
     magic = stream.read(4)
-    packets = _pcapng(stream) if magic == PCAPNG else _pcap(stream, *PCAP[magic])
+    packets = _pcapng(stream, told) if magic == PCAPNG else _pcap(stream, *PCAP[magic])
     for number, (link, channel, t_ns, packet, length) in enumerate(packets, 1):
         if link != _SOCKETCAN:
             told.note(
@@ -78,7 +78,7 @@ def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
         yield link, "can0", seconds * 1_000_000_000 + fraction * unit_ns, packet, whole
 
 
-def _pcapng(stream: IO[bytes]) -> _Packets:
+def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
     order, kind = "<", _SECTION
     interfaces: list[tuple[int, str, int]] = []  # link type, channel, units a second
     first = True
@@ -111,6 +111,8 @@ def _pcapng(stream: IO[bytes]) -> _Packets:
             yield link, channel, (high << 32 | low) * 1_000_000_000 // units, body[20 : 20 + length], whole
         elif kind == _SIMPLE:
             raise ReadingEnds("packets without times")
+        elif kind not in (_SECTION, _INTERFACE):
+            told.note(f"a block of type {kind}, which is no packet")
 
 
 def _interface(order: str, body: bytes, number: int) -> tuple[int, str, int]:

@@ -31,6 +31,8 @@ class GvretRows(Rows):
         if HEAD.match(line):
             self._columns = [word.lower() for word in words]
             return None
+        if len(words) > max(len(self._columns), 1) + 1:  # a comma ends each row
+            raise ValueError("not a line of GVRET")
         named = dict(zip(self._columns, words, strict=False))
         try:
             t_us, length = int(named["time stamp"]), int(named["len"])

@@ -101,8 +101,8 @@ class _Unpacked(io.RawIOBase):
         if self._unpacker.eof:
             behind = (self._unpacker.unused_data or self._read()).lstrip(b"\0")
             if not behind:
-                return None if not (more := self._read()) else self._next(more)
-            return self._next(behind)
+                return None if not (more := self._read()) else self._next(more, most)
+            return self._next(behind, most)
         given = self._read() if self._waiting or not self._in else b""
         if self._waiting and not given:
             raise EOFError("it is cut off")
@@ -110,7 +110,7 @@ class _Unpacked(io.RawIOBase):
         self._waiting = len(data) < most and not self._unpacker.eof
         return data
 
-    def _next(self, behind: bytes) -> bytes | None:
+    def _next(self, behind: bytes, most: int) -> bytes | None:
         """One packed file behind the other is as one."""
         behind = behind.lstrip(b"\0")
         if not behind:
@@ -119,8 +119,10 @@ class _Unpacked(io.RawIOBase):
             behind += more
         if not behind.startswith(self._magic):
             raise ValueError("something else is behind it")
-        self._unpacker, self._waiting = self._new(), True
-        return self._unpacker.decompress(behind, len(behind) * 4)
+        self._unpacker = self._new()
+        data = self._unpacker.decompress(behind, most)
+        self._waiting = len(data) < most and not self._unpacker.eof
+        return data
 
     def _read(self) -> bytes:
         data = self._packed.read1(_PACKED_BLOCK_BYTES)  # type: ignore[attr-defined]

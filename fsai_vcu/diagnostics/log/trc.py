@@ -55,7 +55,7 @@ class TrcRows(Rows):
 
     def __call__(self, line: str) -> LogFrame | None:
         text = line.strip()
-        if text.startswith(";"):
+        if line.startswith(";"):
             self._head(text[1:].strip())
             return None
         if not _OLDEST <= self._version <= _NEWEST:
