@@ -221,12 +221,13 @@ def as_utf8(stream: IO[bytes]) -> IO[bytes]:
         stream.read(len(codecs.BOM_UTF8))
         head = head_of(stream)
     encoding = ""
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif len(head) > 20 and not any(head[1:20:2]) and all(head[:20:2]):
-        encoding = "utf-16-le"
-    elif len(head) > 20 and not any(head[:20:2]) and all(head[1:20:2]):
-        encoding = "utf-16-be"
+    for mark, name, at in ((codecs.BOM_UTF16_LE, "utf-16-le", 0), (codecs.BOM_UTF16_BE, "utf-16-be", 1)):
+        marked = head.startswith(mark)
+        few = head[2:4] if marked else head[:20]  # characters of ASCII, as a text begins
+        if len(few) == (2 if marked else 20) and all(few[at::2]) and not any(few[1 - at :: 2]):
+            encoding = name
+            stream.read(len(mark) if marked else 0)
+            break
     mac = not encoding and b"\n" not in head and b"\0" not in head and b"\r" in head[:-1]
     if encoding or mac:
         return io.BufferedReader(_Utf8(stream, encoding or "latin-1", mac=mac), _BLOCK_BYTES)
