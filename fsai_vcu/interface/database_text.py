@@ -30,8 +30,8 @@ _WORDS: Final = {
     "SG_MUL_VAL_": "multiplexing",
     "BO_TX_BU_": "senders",
     "SIG_GROUP_": "groups",
-    "BA_": "attributes",
-    "BA_REL_": "attributes",
+    "BA_": "values",
+    "BA_REL_": "values",
     "BA_DEF_DEF_": "defaults",
     "BA_DEF_DEF_REL_": "defaults",
 }
