@@ -11,7 +11,10 @@ from collections.abc import Iterator
 from datetime import datetime, timezone
 from typing import IO, Final
 
-from fsai_vcu.diagnostics.log.frames import LogFrame
+import numpy as np
+
+from fsai_vcu.diagnostics.log.candump_line import MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
+from fsai_vcu.diagnostics.log.frames import EXTENDED, RECEIVED, SENT, Frames, LogFrame, frames_of
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
 from fsai_vcu.diagnostics.log.rows import (
     BUS_ERROR,
@@ -45,6 +48,18 @@ _FD_64: Final = struct.Struct("<BBBBLLLLLLLHBBL")  # channel, DLC, data bytes, â
 _MESSAGE, _ERROR, _OVERLOADED, _CONTAINS, _DRIVER, _ERROR_2, _DRIVER_2, _MESSAGE_2 = 1, 2, 3, 10, 31, 73, 74, 86
 _FD_MESSAGE, _FD_MESSAGE_64, _FD_ERROR_64 = 100, 101, 104
 _NAMES: Final = {4: "statistics", 5: "trigger", 65: "text", 72: "overload", 92: "comment", 96: "marker"}
+_MINUTE_S: Final = 60
+_SINGLY: Final = 16  # fewer objects alike are not worth while, and then as many are read one by one
+_TOGETHER: Final = 4096
+_PLAIN_FIELDS: Final = (  # of an object of a frame of at most eight bytes, with the head before
+    ("head", f"V{_OBJECT.size}", 0), ("units", "<u4", 16), ("time", "<u8", 24), ("channel", "<u2", 32),
+    ("flags", "u1", 34), ("dlc", "u1", 35), ("id", "<u4", 36), ("data", "<u8", 40),
+)  # fmt: skip
+_PLAIN_BYTES: Final = 48
+_USED: Final = np.array([(1 << 8 * length) - 1 for length in range(9)], np.uint64)  # bits, by length
+_NO_FRAMES: Final = frames_of(())
+_Object = tuple[int, int, bytes]
+"""Type, version of the head, and all behind the common part of the head."""
 _VIOLATIONS: Final = (SINGLE_BIT, FORM, STUFFING, 0)  # by the upper bits of an error code capture
 
 
@@ -70,11 +85,16 @@ class BlfFile:
     def _take(self, count: int) -> bytes:
         return self._stream.read(count)
 
-    def frames(self) -> Iterator[LogFrame]:
+    def frames(self) -> Iterator[LogFrame | Frames]:
         """All frames, and what it says of errors of the bus. Raises ReadingEnds where it ends before its end."""
         seen = 0
-        for kind, version, content in self._all_objects():
+        for each in self._all_objects():
+            if isinstance(each, Frames):
+                seen += len(each)
+                yield each
+                continue
             seen += 1
+            kind, version, content = each
             try:
                 frame = self._frame(kind, version, content)
             except (ValueError, struct.error) as error:
@@ -89,8 +109,8 @@ class BlfFile:
         if self._read_bytes > self._file_bytes + 3:
             raise ReadingEnds("its logger did not close it: what it had not written yet is missing")
 
-    def _all_objects(self) -> Iterator[tuple[int, int, bytes]]:
-        """(type, version of the head, all behind the common head) of each object that is no container."""
+    def _all_objects(self) -> Iterator[_Object | Frames]:
+        """Each object that is no container; frames behind each other together."""
         while head := self._take(_OBJECT.size):
             if len(head) < _OBJECT.size:
                 if head.strip(b"\0"):
@@ -115,9 +135,9 @@ class BlfFile:
         if self._rest.strip(b"\0"):
             raise ReadingEnds("cut off in an object")
 
-    def _objects_in(self, data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    def _objects_in(self, data: bytes) -> Iterator[_Object | Frames]:
         """Objects of one container; one that goes on in the next is kept for it."""
-        at = 0
+        at = singly = 0
         while True:
             found = data.find(b"LOBJ", at, at + _PADDING + 4)
             if found < 0 or found + _OBJECT.size > len(data):
@@ -129,9 +149,59 @@ class BlfFile:
                 raise ReadingEnds(f"an object of length {size}")
             if found + size > len(data):
                 break
+            if not singly and kind in (_MESSAGE, _MESSAGE_2) and version == 1 and size >= _PLAIN_BYTES:
+                frames = self._together(data, found, size + size % 4)
+                if len(frames):
+                    yield frames
+                    at = found + len(frames) * (size + size % 4) - size % 4
+                    continue
+                singly = _SINGLY
+            singly = max(singly - 1, 0)
             yield kind, version, data[found + _OBJECT.size : found + size]
             at = found + size
         self._rest = data[at:]
+
+    def _together(self, data: bytes, at: int, stride: int) -> Frames:
+        """The plain frames from there on whose objects are alike; none where they are few."""
+        many = min((len(data) - at) // stride, _TOGETHER)
+        if many < _SINGLY or data[at + (_SINGLY - 1) * stride :][: _OBJECT.size] != data[at : at + _OBJECT.size]:
+            return _NO_FRAMES
+        heads = np.frombuffer(data, f"V{_OBJECT.size}", 1, at)
+        fields = {name: (kind, place) for name, kind, place in _PLAIN_FIELDS}
+        kinds = np.dtype(
+            {
+                "names": list(fields),
+                "formats": [kind for kind, _ in fields.values()],
+                "offsets": [place for _, place in fields.values()],
+                "itemsize": stride,
+            }
+        )
+        rows = np.frombuffer(data, kinds, many, at)
+        extended = rows["id"] >> np.uint32(31) != 0
+        number = rows["id"] & np.uint32(0x7FFF_FFFF)
+        way = rows["flags"] & np.uint8(15)
+        most = np.uint64(MAX_SECONDS * 1_000_000_000 - self._begin_ns)
+        tens = rows["units"] == 1
+        ok = (rows["head"] == heads[0]) & (rows["dlc"] <= 8) & (way <= 1) & (rows["flags"] & np.uint8(0x80) == 0)
+        ok &= number <= np.where(extended, np.uint32(MAX_EXTENDED_ID), np.uint32(MAX_STANDARD_ID))
+        ok &= rows["time"] <= np.where(tens, most // np.uint64(10_000), most)
+        count = many if ok.all() else int(np.argmin(ok))
+        if count < _SINGLY:
+            return _NO_FRAMES
+        rows = rows[:count]
+        t_ns = rows["time"].astype(np.int64) * np.where(tens[:count], 10_000, 1) + self._begin_ns
+        numbers, channel = np.unique(rows["channel"], return_inverse=True)
+        flags = np.where(way[:count] == 1, np.uint8(SENT), np.uint8(RECEIVED))
+        flags |= np.where(extended[:count], np.uint8(EXTENDED), np.uint8(0))
+        return Frames(
+            (t_ns + 500) // 1000 * 1000,
+            number[:count].astype(np.uint32),
+            flags.astype(np.uint8),
+            rows["dlc"].copy(),
+            rows["data"] & _USED[rows["dlc"]],
+            channel.astype(np.int32),
+            [_channel(each) for each in numbers.tolist()],
+        )
 
     def _frame(self, kind: int, version: int, content: bytes) -> LogFrame | None:
         if kind not in _READ:
@@ -142,7 +212,7 @@ class BlfFile:
             raise ValueError(f"a head of version {version}")
         units, stamp = _STAMP.unpack_from(content)
         t_ns = self._begin_ns + stamp * (10_000 if units == 1 else 1)
-        t_ns = round(t_ns, -3)  # its writers' floats are exact to less than a microsecond, not better
+        t_ns = (t_ns + 500) // 1000 * 1000  # its writers' floats are exact to less than a microsecond, not better
         at = _STAMP.size if version == 1 else _STAMP.size + 8
         if kind in (_MESSAGE, _MESSAGE_2):
             channel, flags, dlc, can_id, data = _CAN.unpack_from(content, at)
@@ -233,9 +303,7 @@ def _systemtime_ns(fields: list[int]) -> int:
     """Windows' SYSTEMTIME, in UTC; 0 where it is none."""
     year, month, _, day, hour, minute, second, millis = fields
     try:
-        return (
-            int(datetime(year, month, day, hour, minute, second, tzinfo=timezone.utc).timestamp()) * 1_000_000_000
-            + millis * 1_000_000
-        )
+        begin_s = int(datetime(year, month, day, hour, minute, second, tzinfo=timezone.utc).timestamp())
     except ValueError:
         return 0
+    return begin_s * 1_000_000_000 + millis * 1_000_000 if 0 <= begin_s < MAX_SECONDS - _MINUTE_S else 0

@@ -33,17 +33,17 @@ class Format:
     begins: tuple[bytes, ...] = ()
     line: re.Pattern[str] | None = None
     rows: Callable[[Problems], Rows] | None = None
-    frames: Callable[[IO[bytes], Problems, str], Iterator[LogFrame]] | None = None
+    frames: Callable[[IO[bytes], Problems, str], Iterator[LogFrame | Frames]] | None = None
     columns: Callable[[Path, Problems, str], Iterator[Frames]] | None = None
 
 
-def _blf(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFrame]:
+def _blf(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFrame | Frames]:
     from fsai_vcu.diagnostics.log.blf import BlfFile
 
     return BlfFile(stream, told, name).frames()
 
 
-def _capture(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFrame]:
+def _capture(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFrame | Frames]:
     from fsai_vcu.diagnostics.log.captures import read_capture
 
     return read_capture(stream, told, name)

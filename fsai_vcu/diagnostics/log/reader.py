@@ -164,12 +164,17 @@ class Log:
             self.problems.add(f"{self.name}: not readable as {self.kind}{after}: {_why(error)}")
 
     def _of_frames(self, format_: Format) -> Iterator[Frames]:
-        """Through a reader of single frames; those before its end are kept."""
+        """Through a reader of single frames, or of some; those before its end are kept."""
         assert format_.frames is not None
         channels: list[str] = []
         batch: list[LogFrame] = []
         try:
             for frame in format_.frames(self._stream, self.problems, self.name):
+                if isinstance(frame, Frames):
+                    yield frames_of(batch, channels)
+                    batch = []
+                    yield frame
+                    continue
                 batch.append(frame)
                 if len(batch) == _BATCH:
                     yield frames_of(batch, channels)

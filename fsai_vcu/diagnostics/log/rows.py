@@ -36,6 +36,8 @@ STUFFING: Final = 0x04
 OVERLOAD: Final = 0x20
 
 _TIME = re.compile(r"(-?)(\d{1,18})(?:[.,](\d{1,12}))?")
+_TWO_DIGITS = re.compile(r"(?:[0-9A-Fa-f]{2}(?: |$))*")
+_NUMBERS = re.compile(r"(?:[0-9A-Fa-f]{1,3}(?: |$))*")
 
 
 class Rows:
@@ -105,12 +107,15 @@ def frame_of(
 
 def bytes_of(words: list[str], base: int = 16) -> bytes:
     """Data bytes of a row, one a word. Raises ValueError."""
+    text = " ".join(words)
+    if base == 16 and _TWO_DIGITS.fullmatch(text):
+        return bytes.fromhex(text)
     try:
-        if base == 16 and any(len(word) > 2 or not word.isalnum() for word in words):
+        if not _NUMBERS.fullmatch(text):
             raise ValueError
         return bytes(int(word, base) for word in words)
     except ValueError:
-        raise ValueError(f"no data bytes: {' '.join(words)[:40]}") from None
+        raise ValueError(f"no data bytes: {text[:40]}") from None
 
 
 def error_frame(

@@ -82,7 +82,9 @@ class TableRows(Rows):
             found = re.search(r"\W", text)
             self._separator = found[0] if found else ","
             self._columns = [word.strip().lower() for word in text.split(self._separator)]
-            self._table = next(table for table in _TABLES if tuple(self._columns[:3]) == table.head)
+            self._table = next((table for table in _TABLES if tuple(self._columns[:3]) == table.head), None)
+            if self._table is None:
+                raise ValueError("not a head of this table")
             return None
         table = self._table
         words = [word.strip() for word in text.split(self._separator)]

@@ -117,8 +117,8 @@ class TrcRows(Rows):
 
     def _of_columns(self, words: list[str]) -> LogFrame | None:
         columns = self._columns
-        at = columns.index("T")
-        if not {"O", "T", "D"} <= set(columns) or at > len(words) - 1 or columns.index("O") > at:
+        at = columns.find("T")
+        if at < 0 or "D" not in columns or not -1 < columns.find("O") < at < len(words):
             raise ValueError("not a row of TRC")
         t_ns = self._start_ns + ns_of(words[columns.index("O")], MS)
         kind = words[at]
@@ -169,9 +169,9 @@ class TrcRows(Rows):
         remote: bool = False, fd: bool = False, brs: bool = False, esi: bool = False,
     ) -> LogFrame:  # fmt: skip
         remote = remote or words[:1] == ["RTR"]
-        data = b"" if remote else bytes_of(words)
-        if not remote and any(len(word) != 2 for word in words):
+        if not remote and words and len(words[-1]) != 2:  # it may have been cut off
             raise ValueError(f"no data bytes: {' '.join(words)[:40]}")
+        data = b"" if remote else bytes_of(words)
         extended = len(id_text) > 4
         return frame_of(
             t_ns, channel, id_text, data, length, extended=extended, remote=remote, fd=fd, brs=brs, esi=esi, sent=sent
