@@ -15,6 +15,7 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import asammdf
@@ -406,6 +407,34 @@ def test_what_is_no_frame_is_counted_by_kind_and_said(tmp_path: Path, capsys: py
     main(["check", str(tmp_path / "run.blf")])
     said = capsys.readouterr().err
     assert "note: 3 times: an object of type 4 (statistics)" in said and "type 96 (marker)" in said
+
+
+@pytest.mark.parametrize("odd", [None, (0, 9), (0x800, 8), (0x20000000 | 1 << 31, 8), "request", "version"])
+def test_frames_of_a_blf_that_are_alike_are_read_together(odd: tuple[int, int] | str | None, tmp_path: Path) -> None:
+    """One that is not like the others, wherever it is, is read as it is alone."""
+    objects, expected = [], []
+    for n in range(120):
+        wide, sent, length = n % 5 == 0, n % 3 == 0, n % 9
+        can_id = 0x18FF0000 + n if wide else 0x500 + n
+        data = bytes(range(n, n + 8))
+        body = struct.pack("<HBBL8s", 1 + n % 2, sent, length, can_id | wide << 31, data)
+        objects.append(blf_object(1, n, body))
+        t_ns = 1_732_371_300_000_000_000 + n * 10_000_000
+        expected.append(LogFrame(t_ns, f"can{n % 2}", can_id, data[:length], wide, sent=sent))
+    if isinstance(odd, tuple):
+        objects[60] = blf_object(1, 60, struct.pack("<HBBL8s", 1, 0, odd[1], odd[0], b""))
+    elif odd == "request":
+        objects[60] = blf_object(1, 60, struct.pack("<HBBL8s", 1, 2, 8, 0x510, b""))
+    elif odd:
+        objects[60] = objects[60].replace(struct.pack("<HHL", 32, 1, 48), struct.pack("<HHL", 32, 7, 48))
+    if odd:
+        del expected[60]
+    frames, log = given(tmp_path / "run.blf", blf(objects))
+    began_ns = frames[0].t_ns - expected[0].t_ns
+    if odd == (0, 9):  # as many bytes as a classic frame has
+        assert frames.pop(60).data == bytes(8)
+    assert [replace(each, t_ns=each.t_ns - began_ns) for each in frames] == expected
+    assert len(log.problems.texts) == (odd in ("version", (0x800, 8), (0x20000000 | 1 << 31, 8)))
 
 
 # ---------------------------------------------------------------- cut off, changed

@@ -90,7 +90,7 @@ class AscRows(Rows):
             return self._event(row[2])
         elif lower.startswith("end triggerblock"):
             self._block_open = False
-        elif lower.startswith((";", "//", "no internal events", "internal events")):
+        elif line.startswith((";", "//")) or lower.startswith(("no internal events", "internal events")):
             return None
         elif text:
             raise ValueError("not a row of ASC")

@@ -70,7 +70,7 @@ def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
         if len(each) < 16:
             raise ReadingEnds("cut off")
         seconds, fraction, length, whole = struct.unpack(f"{order}LLLL", each)
-        if length > _PACKET_BYTES:
+        if length > _PACKET_BYTES or length > whole:
             raise ReadingEnds(f"a packet of length {length}")
         packet = stream.read(length)
         if len(packet) < length:
