@@ -346,11 +346,13 @@ class Sources:
             raise UserError(f"no frame of {self.name} is in that part")
 
     def _report(self, name: str, frames: int, problems: Problems) -> None:
-        """Say what could not be read of a log of so many frames."""
+        """Say what could not be read of a log of so many frames: of one of several in one line."""
         texts = problems.texts[:_PROBLEMS_SHOWN]
         if not frames:
             why = problems.texts[0].removeprefix(name) if problems else ""
             texts = [f"{name}: nothing could be read{why}" if why else f"{name}: no frames in it"]
+        elif len(self._rules) > 1 and problems:
+            texts = [problems.summary()]
         elif problems.count > _PROBLEMS_SHOWN:
             texts.append(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
         for text in texts:

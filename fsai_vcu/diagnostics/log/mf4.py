@@ -6,6 +6,7 @@ asammdf trusts a file, and so runs in a process with bounds.
 from __future__ import annotations
 
 import io
+import struct
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -74,7 +75,11 @@ def main(path: Path, seconds: int) -> None:
     def read(send: Callable[[Frames | str], None]) -> None:
         # A frame whose bytes are marked as invalid came nevertheless.
         options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
-        with asammdf.MDF(_finalizable(path) or path, **options) as mdf:
+        try:
+            opened = asammdf.MDF(_finalizable(path) or path, **options)
+        except (ValueError, struct.error) as error:  # so it ends where a block should be that is behind the end
+            raise ValueError(f"cut off, or broken: {error}") from error
+        with opened as mdf:
             _send_frames(mdf, max(UNPACKED_BYTES, UNPACKED_TIMES * bytes_on_disk(path.stat())), send)
 
     send_results(path, Bounds(_MEMORY_BYTES, _MEMORY_TIMES, seconds, _SECONDS_PER_MIB), read)
