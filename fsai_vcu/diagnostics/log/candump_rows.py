@@ -23,6 +23,7 @@ _SAID = re.compile(
     r"interface = \S+, family = .*|disabled standard output while logging\.?|Warning: console output active.*|"
     r"Enabling Logfile '.*'|new index \d+ \(\S+\)"
 )
+_SHORTEST: Final = 15  # of what is said in full sentences, or stands before a frame
 _BEHIND_PREFIX = re.compile(r"(?:[^()#\[\]]|\[\d+\])*?\s(\(\d[\d.]*\)\s+\S+\s+\S.*)")
 
 
@@ -36,6 +37,8 @@ class CandumpRows(Rows):
         try:
             return parse_line(line)
         except ValueError as error:
+            if len(line) < _SHORTEST and not line.startswith("\t"):
+                raise  # a file of lines of nothing is done with soon
             plain = _COLOUR.sub("", line)
             if dropped := _DROPPED.search(plain):
                 self.told.lost += int(dropped[1])
