@@ -191,7 +191,9 @@ def test_an_mf4_takes_memory_and_time_as_its_bytes_do(tmp_path: Path) -> None:
     assert len(content) < MIB
     path.write_bytes(content)
     (_, problems), taken_s = in_little_memory(lambda: spent_s(lambda: frames_and_problems(path)))
-    assert problems == [f"{path}: not readable as MF4: it unpacks to more than 100 times its size, as no log does"]
+    assert len(problems) == 1
+    assert problems[0].startswith(f"{path}: not readable as MF4 after frame ")
+    assert problems[0].endswith(": it unpacks to more than 100 times its size, as no log does")
     assert taken_s < LEAST_S
 
 
