@@ -601,7 +601,7 @@ def test_a_folder_of_logs_of_many_kinds_is_one_log(tmp_path: Path, capsys: pytes
     (tmp_path / "d.txt").write_text(str(MADE["Kvaser"]()))
     (tmp_path / "README.txt").write_text("what we did\n")
     (tmp_path / "results.csv").write_text("lap,time\n1,2\n")
-    main(["stats", str(tmp_path), "--json"])
+    main(["check", "--figures", str(tmp_path), "--json"])
     said = capsys.readouterr()
     assert said.err == "" and said.out.count('"channel"') >= 2
     main(["dump", "-L", "--no-signals", str(tmp_path)])
