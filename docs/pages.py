@@ -229,7 +229,7 @@ _TO_DO: Final = {
     Reason.COMMAND_REFUSED: "`fsai-vcu check-stack` names the field, or the clock that is ahead",
     Reason.COMMAND_OTHER_RUN: "put the `run_id` of the newest `/run_state` into each command",
     Reason.STEER_CLAMPED: "plan with `steering_max_rad` of `/vehicle_state`, and the official's limit",
-    Reason.TORQUE_LIMIT_UNKNOWN: "check why 0x521 or 0x522 stopped (`fsai-vcu stats`)",
+    Reason.TORQUE_LIMIT_UNKNOWN: "check why 0x521 or 0x522 stopped (`fsai-vcu check --figures`)",
     Reason.TORQUE_BLOCKED: "gate and supervisor disagree: keep the log of bus and bridge, and report it",
     Reason.STILLNESS_UNPROVEN: "gate and supervisor disagree: keep the log of bus and bridge, and report it",
 }

@@ -105,8 +105,9 @@ FORBIDDEN = {
     "fsai_vcu.interface": CLOCKS_AND_IO | ROS,
     "fsai_vcu.core": CLOCKS_AND_IO | ROS | {"os", "pathlib", "random"},
     "fsai_vcu.runtime": ROS,
+    "fsai_vcu.runtime.turns": CLOCKS_AND_IO,
     # Of the runtime the diagnostics know the bus and the log's writer.
-    DIAGNOSTICS: ROS | {f"fsai_vcu.runtime.{name}" for name in ("loop", "loop_handle", "engine", "configuration")},
+    DIAGNOSTICS: ROS | {f"fsai_vcu.runtime.{name}" for name in ("loop", "loop_handle", "turns", "configuration")},
     "fsai_hil.rules": CLOCKS_AND_IO | ROS | {"fsai_vcu.core.supervision", "fsai_vcu.core.bridge"},
     "fsai_hil.simulator": ROS | {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},
     "fsai_hil.rehearsal": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},

@@ -145,7 +145,9 @@ def test_a_log_takes_memory_and_time_as_its_bytes_do(what: str, plain_s_per_mib:
     assert taken_s < max(LEAST_S, TIMES * plain_s_per_mib * path.stat().st_size / MIB)
 
 
-@pytest.mark.parametrize("words", [["stats"], ["explain"], ["report", "-o", "r.html"]], ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words", [["check", "--figures"], ["explain"], ["report", "-o", "r.html"]], ids=lambda words: words[0]
+)
 def test_a_log_that_jumps_by_lifetimes_takes_no_room_for_them(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,7 +191,9 @@ def test_an_mf4_takes_memory_and_time_as_its_bytes_do(tmp_path: Path) -> None:
     assert len(content) < MIB
     path.write_bytes(content)
     (_, problems), taken_s = in_little_memory(lambda: spent_s(lambda: frames_and_problems(path)))
-    assert problems == [f"{path}: not readable as MF4: it unpacks to more than 100 times its size, as no log does"]
+    assert len(problems) == 1
+    assert problems[0].startswith(f"{path}: not readable as MF4 after frame ")
+    assert problems[0].endswith(": it unpacks to more than 100 times its size, as no log does")
     assert taken_s < LEAST_S
 
 

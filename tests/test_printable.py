@@ -59,7 +59,8 @@ def test_a_stream_shows_lines_and_its_own_colours_alone(terminal: bool, monkeypa
 @pytest.mark.parametrize(
     "words",
     [
-        *([verb, "bus.log", *more] for verb in ("dump", "decode", "stats", "check", "explain") for more in ([], DBC)),
+        *([verb, "bus.log", *more] for verb in ("dump", "decode", "check", "explain") for more in ([], DBC)),
+        ["check", "bus.log", "--figures", *DBC],
         ["compare", "bus.log", "plain.log", *DBC],
         ["plot", "bus.log", "-o", "p.svg", "S1", *DBC],
         ["dbc", "list", "nasty.dbc"],
@@ -67,11 +68,11 @@ def test_a_stream_shows_lines_and_its_own_colours_alone(terminal: bool, monkeypa
         ["export", "bus.log", "--to", "csv", "-o", "out", *DBC],
         ["report", "bus.log", "-o", "r.html", *DBC],
         ["send", "--dry-run", "--dbc", "nasty.dbc", "M1"],
-        ["stats", NASTY],
+        ["check", NASTY],
         ["track", f"{NASTY}.yaml"],
         ["config", "check", NASTY],
         [NASTY],
-        ["stats", "--" + NASTY],
+        ["check", "--" + NASTY],
     ],
     ids=lambda words: " ".join(words).encode("unicode_escape").decode()[:40],
 )

@@ -1,11 +1,101 @@
-"""`fsai-vcu check`: what is wrong on a bus or in a log."""
+"""`fsai-vcu check`: what is wrong on a bus or in a log, and what it did, in figures."""
+
+from __future__ import annotations
 
 import argparse
+import json
 
-from fsai_vcu.cli.stats import ABOUT, add_arguments, measured  # noqa: F401  what every verb's file has
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, write_out
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
+from fsai_vcu.interface.errors import WrongUse
 
-EXAMPLE = "fsai-vcu check run.log && echo the bus was well"
+EXAMPLE = "fsai-vcu check run.log && echo the bus was well\n  fsai-vcu check can0 --seconds 10 --figures"
+ABOUT = """\
+Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
+problem was found, or too little is known, or not everything could be read, 2
+wrong use."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_log_arguments(parser)
+    parser.add_argument(
+        "--figures", action="store_true", help="of each message its period, jitter, gaps and load, and the handshake"
+    )
+    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON object per finding and bus, with --figures per message; verdict last",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    return measured("check", args, table=False)
+    """Read, measure, print. 0 if all is well and was readable."""
+    check_seconds(args)
+    if args.bitrate is not None and args.bitrate < 1:
+        raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
+    decoding = Decoding("check", args)
+    found = judged(args, Sources("check", args.sources, decoding), decoding)
+    if found is None:
+        write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
+        return 1
+    for bus in found.buses:
+        shown = (_as_json if args.json else _for_people)(bus, figures=args.figures)
+        write_out(shown.encode())
+    verdict = found.verdict
+    lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
+    write_out("".join(f"{line}\n" for line in lines).encode())
+    return verdict.status
+
+
+def _as_json(bus: BusStatistics, *, figures: bool) -> str:
+    objects = [message.as_dict() | {"channel": bus.channel} for message in bus.messages] if figures else []
+    return "".join(json.dumps(entry) + "\n" for entry in (*objects, bus.as_dict()))
+
+
+_HEAD = ("id", "message", "frames", "period", "p50", "jitter p50", "p99", "max", "gaps", "longest", "frozen", "load")
+
+
+def _for_people(bus: BusStatistics, *, figures: bool) -> str:
+    lines = [
+        f"{bus.channel}: {bus.frames} frames in {bus.duration_s:.3f} s,"
+        f" load {bus.load:.1%} of {bus.bitrate // 1000} kbit/s ({bus.peak_load:.1%} in the busiest 100 ms)"
+    ]
+    if figures:
+        rows = [_HEAD, *(_row(message) for message in bus.messages)]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
+        for row in rows:
+            cells = [
+                cell.ljust(width) if column < 2 else cell.rjust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ]
+            lines.append("  ".join(cells).rstrip())
+        lines.append("times in ms; frozen: the longest time with one and the same payload")
+        handshake = bus.handshake
+        if handshake is not None and handshake.response_ms.p50_ms is not None:
+            lines.append(
+                f"handshake: {handshake.answered} answers, response time p50 {handshake.response_ms.p50_ms:.2f} ms,"
+                f" p99 {handshake.response_ms.p99_ms:.2f} ms, max {handshake.response_ms.max_ms:.2f} ms"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _row(message: MessageStatistics) -> tuple[str, ...]:
+    return (
+        f"{message.can_id:08X}" if message.extended else f"{message.can_id:03X}",
+        message.name or "?",
+        str(message.count),
+        "" if message.expected_ms is None else f"{message.expected_ms:g}",
+        _ms(message.interval_ms.p50_ms),
+        _ms(message.jitter_ms.p50_ms),
+        _ms(message.jitter_ms.p99_ms),
+        _ms(message.jitter_ms.max_ms),
+        str(message.gaps),
+        _ms(message.longest_gap_ms),
+        f"{message.frozen_ms:.0f}",
+        f"{message.load:.2%}",
+    )
+
+
+def _ms(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.printable import printable
 
 EXAMPLE = "fsai-vcu dbc show 0x520\n  fsai-vcu dbc diff 2021 2026"
 ABOUT = """\
@@ -46,7 +48,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load(name: str) -> Databases:
-    return load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
+    databases = load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
+    for text in databases.left_out:
+        print(f"fsai-vcu dbc: {printable(text)}", file=sys.stderr)
+    return databases
 
 
 def _head(layout: MessageLayout) -> str:

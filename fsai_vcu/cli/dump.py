@@ -1,4 +1,4 @@
-"""`fsai-vcu dump`: frames as candump shows them, with their signals beside."""
+"""`fsai-vcu dump` and `decode`: frames as candump shows or logs them, with their signals beside."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.errors import WrongUse
 
-EXAMPLE = "fsai-vcu dump can0,520:7FF,510:7FF,#FFFFFFFF -t z"
+EXAMPLE = (
+    "fsai-vcu VERB can0,520:7FF,510:7FF,#FFFFFFFF -t z\n"
+    "  fsai-vcu VERB run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
+)
 _COLUMNS = 150  # of a short line
 _TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
 _COLORS: Final = {"error": b"\x1b[31m", "ai": b"\x1b[32m", "vcu": b"\x1b[36m", "unknown": b"\x1b[33m"}
@@ -32,6 +35,7 @@ _NO_COLOR: Final = b"\x1b[0m"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(verb=parser.prog.split()[-1])  # of the two names
     add = parser.add_argument
     add(
         "sources",
@@ -76,13 +80,13 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
         raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
-    if args.log_format and (args.ascii_column or args.times == "A"):
-        raise WrongUse("-a and -t A do not go with -L, the format of logs")
+    if (args.log_format or args.verb == "decode") and (args.ascii_column or args.times == "A"):
+        raise WrongUse("-a and -t A are of candump's screen: without -L, and with dump")
     if args.short and (args.json or args.no_signals):
         raise WrongUse("--short is for signals in lines: without --json and --no-signals")
-    decoding = Decoding("dump", args)
+    decoding = Decoding(args.verb, args)
     decoding.show_signals(args.signals)
-    sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
+    sources = Sources(args.verb, args.sources, decoding, part_of(args, decoding))
     sources.learn()
     lines = _Lines(args, decoding)
     left = args.count
@@ -113,6 +117,11 @@ class _Lines:
         self._args = args
         self._decoding = decoding
         self._color = args.color or (sys.stdout.isatty() and not os.environ.get("NO_COLOR"))
+        self._log_format = args.log_format or args.verb == "decode"
+        # A line of a log with signals behind it is none that canplayer or check would read.
+        self._bare = args.no_signals or (args.log_format and args.signals is None and not args.short)
+        own = (args.times, args.extra, args.log_format, args.color, args.short, args.no_signals)
+        self._plain = args.json or (args.verb == "decode" and not any(own))
         self._indented = False
         self._newest: dict[tuple[str, int, int], tuple[int, int | bytes]] = {}  # length and payload of each message
         self.zero_ns: int | None = None  # -t z counts from here; None: from the first frame that is shown
@@ -144,16 +153,14 @@ class _Lines:
     def block(self, frames: Frames) -> bytes | bytearray:
         if not len(frames):
             return b""
-        if self._args.json:
+        if self._plain:
             return self._decoding.writer.block(frames)
         frames = self._shifted(frames)
-        if self._args.log_format:
+        if self._log_format:
             heads = log_lines(frames, _TIME_DIGITS[self._args.times or "a"], marks=self._args.extra)
         else:
             heads = self._screen_lines(frames)
-        # A line of a log with signals behind it is none that canplayer or check would read.
-        bare = self._args.log_format and self._args.signals is None and not self._args.short
-        tails = [b"\n"] * len(frames) if self._args.no_signals or bare else self._decoding.writer.tails(frames)
+        tails = [b"\n"] * len(frames) if self._bare else self._decoding.writer.tails(frames)
         if self._args.short:
             tails = [_fitting(tail, _COLUMNS - len(head)) for head, tail in zip(heads, tails, strict=True)]
         if self._color:

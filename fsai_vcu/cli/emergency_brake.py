@@ -5,5 +5,5 @@ from functools import partial
 from fsai_vcu.cli.services import add_bridge_arguments, call
 
 EXAMPLE = "fsai-vcu emergency-brake"
-add_arguments = partial(add_bridge_arguments, wait_s=None)
+add_arguments = partial(add_bridge_arguments, wait_s=60.0)
 run = partial(call, service="emergency_brake")

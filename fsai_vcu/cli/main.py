@@ -38,13 +38,8 @@ OWN_VERBS: Verbs = {
     "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels", "machine"),
     "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)", "other"),
     "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals", "watch"),
-    "decode": (".decode", "decode every frame of a log", "recordings"),
-    "stats": (
-        ".stats",
-        "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict",
-        "recordings",
-    ),
-    "check": (".check", "say what is wrong on a bus or in a log, and nothing else", "recordings"),
+    "decode": (".dump", "decode every frame of a log: dump, in the format of logs with signals", "recordings"),
+    "check": (".check", "say what is wrong on a bus or in a log; with --figures what each message did", "recordings"),
     "monitor": (
         ".monitor",
         "watch a bus live: AS state, why it is not driving, what is asked and given; never sends",
@@ -63,12 +58,14 @@ OWN_VERBS: Verbs = {
     "dbc": (".dbc", "show what a signal database says, and how two of them differ", "machine"),
     "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge", "machine"),
     "record": (".record", "record a bus, safe on the disk within a second; also as MCAP", "recordings"),
-    "recorder": (".recorder", "record the bus as the service does: within the bounds of the configuration", "other"),
     "export": (".export", "turn a log into tables: CSV, Parquet, MCAP, MF4", "recordings"),
     "replay": (".replay", "send a log onto a bus again", "recordings"),
     "completion": (".completion", "print a script with which bash, zsh or fish complete this command", "other"),
     "reference": (".reference", "write the reference of all verbs, as Markdown or as a manual page", "other"),
 }
+
+OLD_NAMES: dict[str, tuple[str, ...]] = {"stats": ("check", "--figures"), "recorder": ("record", "--service")}
+"""Verbs of an earlier release, and what they are now; each works for one release more."""
 
 
 @cache
@@ -105,7 +102,7 @@ def parser_of(verb: str) -> Parser:
     parser = Parser(
         prog=f"fsai-vcu {verb}",
         description=f"{summary[0].upper()}{summary[1:]}.\n\n{getattr(module, 'ABOUT', '')}".rstrip(),
-        epilog=f"example:\n  {module.EXAMPLE}",
+        epilog=f"example:\n  {module.EXAMPLE.replace('VERB', verb)}",  # of a program with two names
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
@@ -164,6 +161,9 @@ def _run(arguments: list[str]) -> int:
 
         print(f"fsai-vcu {version('fsai-vcu')}")
         return 0
+    if now := OLD_NAMES.get(arguments[0]):
+        print(f"fsai-vcu: {arguments[0]} is now called {' '.join(now)}", file=sys.stderr)
+        arguments = [*now, *arguments[1:]]
     verb = arguments[0]
     if verb not in OWN_VERBS and verb not in all_verbs():
         from difflib import get_close_matches

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.ending import ending
+from fsai_vcu.cli.main import main
 from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.decode.decoder import Decoder
@@ -25,11 +26,13 @@ from fsai_vcu.diagnostics.recorder.recording import Recording
 from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_words
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_configuration
 from fsai_vcu.runtime.limits_file import limits_in, read_limits_text
 
 EXAMPLE = (
     "fsai-vcu record -i can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
-    "  fsai-vcu record -i vcan0 -o run.log --seconds 60"
+    "  fsai-vcu record -i vcan0 -o run.log --seconds 60\n"
+    "  fsai-vcu record --service --config /etc/fsai/fsai.toml"
 )
 _LOOK_S: Final = 0.1
 _TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a second is ever not on it
@@ -44,16 +47,17 @@ _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("-i", "--interface", required=True, help="CAN interface: vcan0, can0, loopback:NAME …")
+    add("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
     add(
         "-o",
         "--output",
-        required=True,
         type=Path,
         metavar="FOLDER|FILE",
         help="a folder: numbered segments, bounded, gone on with after a restart; a file (run.log): one candump log, "
         "which must not be there yet",
     )
+    add("--service", action="store_true", help="as the recording service does: what the car's configuration says")
+    add("--config", type=Path, metavar="FILE", help="with --service: the configuration (default: /etc/fsai/fsai.toml)")
     add("--seconds", type=float, metavar="S", help="stop after so long (default: until Ctrl-C)")
     add("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
     add("--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)")
@@ -73,6 +77,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.service:
+        return _as_configured(args.config or USUAL_PATH, args.interface)
+    if args.config is not None:
+        raise WrongUse("--config goes with --service")
+    for option, value in (("-i", args.interface), ("-o", args.output)):
+        if value is None:
+            raise WrongUse(f"{option} is missing: which bus is recorded (-i), and where (-o)?")
     check_numbers(args, seconds=0.0)
     if args.ros and not args.mcap:
         raise WrongUse("--ros goes with --mcap: a candump log has no place for ROS messages")
@@ -103,6 +114,33 @@ def run(args: argparse.Namespace) -> int:
     recording.close(time.monotonic_ns())
     half = topics is not None and topics.error is not None
     return _result(args, listener, recording, place, stopped=signal.SIGTERM in asked) or int(half)
+
+
+def _as_configured(path: Path, interface: str | None) -> int:
+    """Record as the service does. interface: instead of the configuration's."""
+    configuration = read_configuration(path)
+    for line in configuration.limits_described():
+        print(f"operational limits: {line}", file=sys.stderr, flush=True)
+    return main(["record", *record_arguments(configuration, interface or configuration.interface)])
+
+
+def record_arguments(configuration: Configuration, interface: str) -> list[str]:
+    """The configuration's [recording] as arguments."""
+    return [
+        "-i",
+        interface,
+        "-o",
+        configuration.text("recording", "folder"),
+        "--patient",
+        "--max-total",
+        f"{configuration.text('recording', 'keep_mib')}M",
+        "--keep-free",
+        f"{configuration.text('recording', 'leave_free_mib')}M",
+        "--revision",
+        configuration.revision,
+        *(word for file in configuration.dbc_files for word in ("--dbc", file)),
+        *(("--limits", str(configuration.limits_path)) if configuration.limits_path is not None else ()),
+    ]
 
 
 def _begun(

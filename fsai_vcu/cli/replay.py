@@ -8,6 +8,8 @@ import sys
 import time
 from typing import Final
 
+import numpy as np
+
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import (
     LOG_HELP,
@@ -18,12 +20,15 @@ from fsai_vcu.cli.sources import (
     add_part_arguments,
     part_of,
 )
+from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
 from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import BusLost, open_bus
 
 EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
 _LATE_NS: Final = 10_000_000  # a cycle of the bus
+_PAUSE_NS: Final = 60 * S
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
     add_part_arguments(parser)  # no signals: a frame is sent whole
     add_database_arguments(parser)
+    add(
+        "--skip-pauses",
+        action="store_true",
+        help="wait no longer than a second where the log has a pause of over a minute",
+    )
     add("--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out")
     add(
         "--with-ai-ids",
@@ -58,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"fsai-vcu replay: left out: {left_out}", file=sys.stderr)
     if not len(chosen):
         raise UserError("nothing is left to send")
+    chosen = _paced(chosen, skip=args.skip_pauses)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
     bus = open_bus(args.interface, receive=(), may_send=set(chosen.can_id.tolist()) if physical else None)
     laps = 1 if args.loop is None else args.loop or None
@@ -76,6 +87,18 @@ def run(args: argparse.Namespace) -> int:
         finally:
             progress.end()
     return max(status, _result(player))
+
+
+def _paced(frames: Frames, *, skip: bool) -> Frames:
+    """Says how long the log's pauses are; skip: with each of them a second long."""
+    steps_ns = np.diff(frames.t_ns, prepend=frames.t_ns[:1])
+    pauses = steps_ns > _PAUSE_NS
+    if not pauses.any():
+        return frames
+    whole_s = int(steps_ns[pauses].sum()) // S
+    which = f"{np.count_nonzero(pauses)} of over a minute, {whole_s} s in all"
+    print(f"fsai-vcu replay: pauses {'skipped' if skip else 'waited for (--skip-pauses)'}: {which}", file=sys.stderr)
+    return frames.at(frames.t_ns - np.cumsum(np.where(pauses, steps_ns - S, 0))) if skip else frames
 
 
 def _result(player: Player) -> int:

@@ -11,10 +11,10 @@ from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
-One HTML file with the plots, what explain finds and the figures of stats; it
-opens offline and loads nothing from elsewhere. Exit status: as for check, by
-the verdict on top of the page, which is saved all the same; 1 also where it
-cannot be."""
+One HTML file with the plots, what explain finds and the figures of
+check --figures; it opens offline and loads nothing from elsewhere. Exit status:
+as for check, by the verdict on top of the page, which is saved all the same; 1
+also where it cannot be."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 import time
@@ -19,7 +20,7 @@ from fsai_vcu.runtime.configuration import usual_environment
 from fsai_vcu.runtime.transport import enclave_words, set_transport
 
 ASK_AGAIN_S = 1.0
-_STILL_ASKING_S = 3.0
+_SAY_S, _SAY_AGAIN_S = 0.5, 3.0  # what is waited for
 _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
@@ -28,12 +29,11 @@ _NO_ROS = (
 )
 
 
-def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float | None = 10.0) -> None:
-    """What every question to the bridge can be given. wait_s: None never gives up."""
-    default = "never: it asks until Ctrl-C" if wait_s is None else f"{wait_s:g} s"
+def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float = 10.0) -> None:
+    """Add what every question to the bridge can be given."""
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
-        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after so long (default: {default})"
+        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after so long (default: {wait_s:g} s)"
     )
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
 
@@ -118,13 +118,14 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
         name = node.resolve_service_name(service)
         begin_s = time.monotonic()  # from here on: on a busy machine rclpy takes seconds to load
         asked: list[Any] = []
-        told_s = ask_s = 0.0
+        say_s, ask_s = _SAY_S, 0.0
+        urgent = service == "emergency_brake"
         while True:
             answers = [each.result() for each in asked if each.done()]
             waited_s = time.monotonic() - begin_s
-            over = args.wait is not None and waited_s >= args.wait
+            over = waited_s >= args.wait
             # The loop brakes however late it takes the request: that it did so, the next answer says.
-            final = [each for each in answers if service != "emergency_brake" or each.message != NO_ANSWER]
+            final = [each for each in answers if not urgent or each.message != NO_ANSWER]
             if final or (answers and over):
                 answer = (final or answers)[0]
                 break
@@ -134,15 +135,13 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
                         f"the bridge offers {name}, but did not answer within {args.wait:g} s; does it hang?"
                     )
                 raise UserError(f"no bridge offers {name} (waited {args.wait:g} s); {_WHERE}")
-            if args.wait is None and waited_s >= told_s + _STILL_ASKING_S:
-                told_s = waited_s
+            if waited_s >= say_s:
+                say_s = waited_s + _SAY_AGAIN_S if urgent else math.inf
                 what = f"{name} is offered, but not answered" if asked else f"no bridge offers {name}"
                 what = f"{name}: {NO_ANSWER}" if answers else what
-                print(
-                    f"{what} (for {waited_s:.0f} s); press the remote's E-stop. Still asking; Ctrl-C ends it",
-                    file=sys.stderr,
-                    flush=True,
-                )
+                press = "; press the remote's E-stop" if urgent else ""
+                left = f"{max(1.0, args.wait - waited_s):.0f} s more"
+                print(f"{what}{press}; asking for {left}, Ctrl-C ends it", file=sys.stderr, flush=True)
             if waited_s >= ask_s and client.service_is_ready():
                 # The answer to a first request is lost when the server has not yet discovered its client: ask again.
                 # Every request of the operator may be repeated without harm, and a late answer to any of them counts.

@@ -20,10 +20,12 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
+from fsai_vcu.diagnostics.log.formats import format_of
 from fsai_vcu.diagnostics.log.frames import Frames, joined
-from fsai_vcu.diagnostics.log.gvret import HEAD
 from fsai_vcu.diagnostics.log.part import Part
-from fsai_vcu.diagnostics.log.reader import LogError, Problems, open_log
+from fsai_vcu.diagnostics.log.problems import Problems
+from fsai_vcu.diagnostics.log.reader import LogError, open_log
+from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
 from fsai_vcu.diagnostics.recorder.segments import lost_while_recorded, lost_words
 from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError, WrongUse
@@ -35,10 +37,11 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.verdict import Judged
 
 LOG_HELP: Final = (
-    "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input), a folder of logs"
+    "a log (candump, BLF, ASC, MF4, TRC, CSV, pcap and others, packed or not; - is standard input), a folder of logs"
 )
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
-LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc"})
+LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})
+_MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".sqlite"})  # their content tells
 _PROBLEMS_SHOWN = 5
 _PROGRESS_S = 1.0
 
@@ -164,6 +167,8 @@ class Decoding:
         # What is wrong with given files is reported before anything is read.
         for name in self.databases.signed_flags if self._files else ():
             print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
+        for text in self.databases.left_out:
+            print(f"fsai-vcu {verb}: {printable(text)}", file=sys.stderr)
 
     @cached_property
     def databases(self) -> Databases:
@@ -322,7 +327,7 @@ class Sources:
                     self._decoding.hear(frames)
 
     def _log_chunks(self) -> Iterator[Frames]:
-        inside = 0
+        inside = lost = 0
         for name, rule in self._rules:
             count = 0
             with open_log(name) as log:
@@ -334,22 +339,27 @@ class Sources:
                     inside += len(passing)
                     yield passing
             self._report(log.name, count, log.problems)
-        recorded = sum(lost_while_recorded(Path(name)) for name, _ in self._rules if name != "-")
+            lost += log.problems.lost
+        recorded = lost + sum(lost_while_recorded(Path(name)) for name, _ in self._rules if name != "-")
         self._lost = lambda: recorded
         if self._part and self.first_ns is not None and not inside:
             raise UserError(f"no frame of {self.name} is in that part")
 
     def _report(self, name: str, frames: int, problems: Problems) -> None:
-        """Say what could not be read of a log of so many frames."""
+        """Say what could not be read of a log of so many frames: of one of several in one line."""
         texts = problems.texts[:_PROBLEMS_SHOWN]
         if not frames:
             why = problems.texts[0].removeprefix(name) if problems else ""
             texts = [f"{name}: nothing could be read{why}" if why else f"{name}: no frames in it"]
+        elif len(self._rules) > 1 and problems:
+            texts = [problems.summary()]
         elif problems.count > _PROBLEMS_SHOWN:
             texts.append(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
         for text in texts:
             self._say(text)
             self.status = 1
+        if problems.notes:
+            self._say(f"{name}: note: {problems.note_line()}")
 
     def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
         if self.first_ns is None and len(frames):
@@ -461,14 +471,15 @@ def _unfolded(name: str) -> list[str]:
 
 
 def _log_like(path: Path) -> bool:
-    """By its name; of CSV files those of SavvyCAN, not every table."""
-    if path.suffix == ".csv":
+    """By its name; of tables and other texts those that are of a bus."""
+    suffixes = {suffix.lower() for suffix in path.suffixes}
+    if suffixes & _MAY_BE_LOGS and not suffixes & LOG_SUFFIXES:
         try:
             with open_named(path) as file:
-                return file.read(len(HEAD)).lower() == HEAD.encode()
+                return format_of(file.read(HEAD_BYTES)) is not None
         except OSError:
             return False
-    return bool(set(path.suffixes) & LOG_SUFFIXES)
+    return bool(suffixes & LOG_SUFFIXES)
 
 
 def _holds(name: str, condition: Callable[[Path], bool]) -> bool:

@@ -13,8 +13,8 @@ Reading
     guess_revision(frames)                        # decode/revision.py: the interface revision they are of, and why
     LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses; Listener(bus): one
 
-    candump's formats are read and written by log/candump.py (many lines at once) and log/candump_line.py (one),
-    SavvyCAN's by log/gvret.py; log/reader.py knows all others, through python-can.
+    log/formats.py is the table of formats: how each is told by its content, and its reader. A text has a reader of its
+    rows (log/rows.py), candump's lines are read many at once (log/candump.py). log/stream.py unpacks and decodes.
 
 Choosing
     FrameFilter.parse("520:7FF,#FFFFFFFF")        # log/filters.py: candump's filters, on columns

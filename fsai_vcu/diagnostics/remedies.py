@@ -60,7 +60,9 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "not_on_the_bus": "look in the software's own log for the emergency's cause",
     "vcu_silent": "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
-    "wheels_stale": "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); else compare it with 0x526",
+    "wheels_stale": (
+        "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu check --figures LOG); else compare it with 0x526"
+    ),
     "steering_stale": "check why 0x523 stopped: steering controller, VCU, wiring",
     "steering_implausible": _MOVE_STEERING,
     "wheel_implausible": _TURN_WHEELS,
@@ -168,7 +170,10 @@ REMEDIES: Final[Mapping[str, str]] = {
     "reserved": "end the program on this computer that sends it",
     "period": "see whether --revision is the car's, whether somebody else sends it too, or its sender is held up",
     "second_car": "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus",
-    "lossy": "look why: the recording computer is too slow, the bus too full, or it has errors (fsai-vcu stats LOG)",
+    "lossy": (
+        "look why: the recording computer is too slow, the bus too full, or it has errors"
+        " (fsai-vcu check --figures LOG)"
+    ),
     "recorder": "look whether the recording computer was held up",
     "steering-sign": "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523",
     "axle": "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0",

@@ -17,18 +17,20 @@ import fsai_vcu.lean_cantools  # noqa: F401  # isort: skip
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from fsai_vcu.files import DATABASE_BYTES, read_named
+from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
+from fsai_vcu.interface.database_text import loaded_without_orphans, read_database_text
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
 
 _UNIT_SUFFIXES = ("_Nm", "_rpm", "_deg", "_kmh", "_pct")
 _NAME_LENGTH = 32  # longer names are cut by the tools that official files come from
-ENCODING = "cp1252"  # what the tools that write DBC files use
 
 # The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
 # lost: half the signals of a message, or the line that says that a signal is a float. Without a semicolon only its line
 # end shows that a list of receivers is whole.
-_WHOLE_MESSAGE = re.compile(r"BO_ \d+ .+\n")
+_WHOLE_MESSAGE = re.compile(r"BO_ \d+ \w+ *: *\d+ +\w+\s*")
+_WHOLE_LIST = re.compile(r"(BU_|BS_) *:.*\n")
+_NODES = re.compile(r"^[ \t]*BU_[ \t]*:([^\n]*)", re.MULTILINE)
 _LONGEST_BYTES = 1785  # SAE J1939-21: the most that a message has, sent in many frames
 _LONGEST_NAME = 500
 _LARGEST = 1e30  # more than 64 bits hold, in any unit
@@ -47,7 +49,8 @@ class DatabaseError(UserError, ValueError):
 
 
 def load_database(paths: Iterable[Path | str]) -> Database:
-    """Load DBC files strictly (no overlapping signals, none beyond its frame) into one database.
+    """Load DBC files into one database, the messages of this interface strictly: no overlapping signals, none beyond
+    its frame.
 
     Where two files describe the same identifier, the first one counts. Raises DatabaseError.
     """
@@ -61,17 +64,24 @@ def load_database(paths: Iterable[Path | str]) -> Database:
             nodes.setdefault(node.name, node)
     if not messages:
         raise DatabaseError("no DBC file given that describes a message")
-    return Database(messages=list(messages.values()), nodes=list(nodes.values()), strict=True)
+    return Database(messages=list(messages.values()), nodes=list(nodes.values()), strict=False)
 
 
 def _load_one(path: Path) -> Database:
-    database = Database(strict=True)
+    def load(text: str) -> Database:
+        database = Database(strict=False)
+        database.add_dbc_string(text)
+        for message in database.messages:
+            if message.frame_id in BY_ID or message.name in BY_NAME:
+                message.refresh(strict=True)
+        return database
+
     try:
-        text = read_named(path, DATABASE_BYTES, ENCODING, "replace")
+        text = read_database_text(path, "dbc")
         check_lengths(path, text)
         if not is_modest(text):
             raise DatabaseError(f"{path}: not a valid DBC file: larger than any of this car's, or more multiplexed")
-        database.add_dbc_string(text)
+        database, _ = loaded_without_orphans(load, text)
     except FileNotFoundError:
         raise DatabaseError(f"{path}: no such DBC file") from None
     except OSError as error:
@@ -88,24 +98,29 @@ def _load_one(path: Path) -> Database:
     return database
 
 
-def check_whole(path: Path, text: str) -> None:
-    """Raises DatabaseError for a DBC file that was cut off in its last statement."""
+def check_whole(path: Path, text: str, *, by_nodes: bool = False) -> None:
+    """Raises DatabaseError for a DBC file that was cut off in its last statement.
+
+    by_nodes: one without a line end is whole if it ends in the whole name of a node.
+    """
     lines = (line.lstrip() for line in text.splitlines(keepends=True))
     statements = [line for line in lines if line and not line.startswith("//")]
-    if not statements or not _is_whole(statements[-1]):
+    nodes = {"Vector__XXX", *(name for line in _NODES.findall(text) for name in line.split())} if by_nodes else set()
+    if not statements or not _is_whole(statements[-1], nodes):
         raise DatabaseError(
             f"{path}: not a valid DBC file: it ends in the middle of a statement, or without a line end"
         )
 
 
-def _is_whole(statement: str) -> bool:
-    if statement.rstrip().endswith(";"):
+def _is_whole(statement: str, nodes: set[str]) -> bool:
+    if statement.rstrip().endswith(";") or _WHOLE_LIST.fullmatch(statement):
         return True
+    ended = statement.endswith("\n") or re.split(r"[\s,]+", statement.rstrip())[-1] in nodes
     head, _, behind = statement.partition('"')
     _, _, receivers = behind.partition('"')
     if statement.startswith("SG_ ") and "[" in head and head.rstrip().endswith("]"):
-        return statement.endswith("\n") and re.match(r" *\w", receivers) is not None
-    return bool(_WHOLE_MESSAGE.fullmatch(statement))
+        return ended and re.match(r" *\w", receivers) is not None
+    return ended and _WHOLE_MESSAGE.fullmatch(statement) is not None
 
 
 def check_lengths(path: Path, text: str) -> None:

@@ -107,7 +107,7 @@ def test_a_broken_log_is_decoded_up_to_the_break_and_fails(tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize(
-    ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("stats", ""), ("explain", "")]
+    ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("check", ""), ("explain", "")]
 )
 def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered: str, log: Path) -> None:
     log.write_text(GOOD * 20_000)
@@ -179,3 +179,18 @@ def test_signals_by_pattern_leave_the_others_out(log: Path, capsys: pytest.Captu
     assert main(["decode", str(log), "--signals", "angle,VCU2AI_Steer.*_MAX"]) == 0
     shown = "VCU2AI_Steer(ANGLE: 10.0 deg, ANGLE_MAX: 10.0 deg)"
     assert capsys.readouterr().out == f"(1.000000) can0 523#640064006400 :: {shown}\n"
+
+
+def test_decode_and_dump_are_one_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(1.000000) can0 513#0A00\n(1.100000) can0 513#0A00\n(1.200000) can0 513#0000\n")
+
+    def shown(*words: str) -> list[str]:
+        assert main([*words, str(log)]) == 0
+        return capsys.readouterr().out.splitlines()
+
+    assert [line.partition(" ")[0] for line in shown("decode", "--changes")] == ["(1.000000)", "(1.200000)"]
+    assert len(shown("decode", "-n", "1")) == 1
+    for style in (["-t", "z"], ["--short", "-c"], ["--no-signals"]):
+        signals = [] if style == ["--no-signals"] else ["--signals", "*"]
+        assert shown("decode", *style) == shown("dump", "-L", *signals, *style)

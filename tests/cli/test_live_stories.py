@@ -49,7 +49,7 @@ def test_ctrl_c_ends_the_listening_and_begins_the_story(car: None) -> None:
     assert out.startswith(f"{NAME}: ") and "the log ends with the car in EMERGENCY_BRAKE" in out
 
 
-@pytest.mark.parametrize("verb", ["explain", "report", "stats"])
+@pytest.mark.parametrize("verb", ["explain", "report", "check"])
 def test_a_silent_bus_is_one_clear_line(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = ["-o", str(tmp_path / "x.html")] if verb == "report" else []
     assert main([verb, f"{NAME}-silent", "--seconds", "0.1", *page]) == 1

@@ -25,7 +25,7 @@ BUS = f"loopback:lost-{os.getpid()}"
 WORDS = "7 frames lost in this machine's receive buffer: no fault of the bus or the car"
 
 
-@pytest.mark.parametrize("verb", ["dump", "check", "stats", "explain", "monitor", "record"])
+@pytest.mark.parametrize("verb", ["dump", "check", "explain", "monitor", "record"])
 def test_what_the_kernel_threw_away_is_one_line(
     verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -36,7 +36,7 @@ def test_what_the_kernel_threw_away_is_one_line(
         assert main([verb, *words.get(verb, [BUS, "--seconds", "0.3"])]) == 1
     said = capsys.readouterr()
     assert said.err.splitlines()[-1] == f"fsai-vcu {verb}: {WORDS}"
-    if verb in ("check", "stats"):
+    if verb == "check":
         assert f"unknown: {WORDS}" in said.out
     if verb == "monitor":
         assert f"| {WORDS} |" in said.out
@@ -77,7 +77,7 @@ def test_all_that_passed_before_the_end_is_received(
     monkeypatch.setattr(CanBus, "recv_stamped", slowly)
     sender = threading.Thread(target=send_and_end)
     sender.start()
-    assert main(["stats", BUS, "--json"]) in (0, 1)
+    assert main(["check", BUS, "--figures", "--json"]) in (0, 1)
     sender.join()
     assert json.loads(capsys.readouterr().out.splitlines()[0])["count"] == 20
 

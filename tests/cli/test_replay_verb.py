@@ -93,3 +93,15 @@ def test_messages_by_name_or_identifier_are_sent(log: str, bus: CanBus, capsys: 
     assert received(bus, 2) == ["523#640064006400", "621#01"]
     assert main(["replay", log, "-i", BUS, "--messages", "NoSuch"]) == 1
     assert "no message NoSuch" in capsys.readouterr().err
+
+
+def test_pauses_of_a_log_are_said_and_can_be_skipped(
+    tmp_path: Path, bus: CanBus, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsai_vcu.cli.replay._LATE_NS", 60 * S)
+    path = tmp_path / "run.log"
+    path.write_text("".join(f"({second}.000000) can0 520#0000030000000000\n" for second in (1, 2_000_000_000)))
+    assert main(["replay", str(path), "-i", BUS, "--skip-pauses", "--rate", "100"]) == 0
+    assert len(received(bus, 2)) == 2
+    said = "fsai-vcu replay: pauses skipped: 1 of over a minute, 1999999999 s in all\n"
+    assert capsys.readouterr().err == f"{said}2 frames sent\n"

@@ -70,7 +70,7 @@ def test_figures_and_tables_are_those_of_the_revision(tmp_path: Path, capsys: py
     assert main(["export", log, "--to", "csv", "-o", str(tmp_path / "tables")]) == 0
     assert "OP_STATE" not in (tmp_path / "tables" / "VCU2AI_Status.csv").read_text()
     assert SAID in capsys.readouterr().err
-    assert main(["stats", log, "--json"]) == 1
+    assert main(["check", log, "--json"]) == 1
     said = capsys.readouterr()
     bus = next(entry for entry in map(json.loads, said.out.splitlines()) if entry["type"] == "bus")
     assert "AI2LOG_Dynamics1" not in bus["missing"] and bus["missing"]

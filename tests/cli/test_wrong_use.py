@@ -15,6 +15,8 @@ BUS = "loopback:wrong-use"
 USES = [
     # ---------------------------------------------------------------- what no verb or no file is
     ("fly", 2, "no verb 'fly'"),
+    ("mode auto", 2, "there is no mode 'auto'; did you mean autonomous?"),
+    ("mode sport", 2, "there is no mode 'sport'; manual or autonomous"),
     ("status --wait nan", 2, "--wait is nan, but must be 0 or more"),
     *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
     *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
@@ -25,7 +27,7 @@ USES = [
     *((f"{verb} run.log --from 500", 1, "run.log is in that part") for verb in ("decode", "dump", "check", "explain")),
     *(
         (f"{verb} {BUS} --seconds 0", 2, "--seconds is 0, not a time")
-        for verb in ("explain", "report -o x.html", "stats")
+        for verb in ("explain", "report -o x.html", "check")
     ),
     *(
         (f"{verb} run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1")
@@ -33,7 +35,7 @@ USES = [
     ),
     *(
         (f"{verb} run.log --seconds 3", 2, "--seconds is for live buses; --from and --to choose a part of a log")
-        for verb in ("check", "stats", "explain", "report -o x.html")
+        for verb in ("check", "explain", "report -o x.html")
     ),
     *(
         (f"{verb} -o run.log", 2, "run.log is the log that is read: it would be written over")
@@ -45,7 +47,11 @@ USES = [
         )
     ),
     ("export run.log --to csv -o tables --dbc foreign.dbc", 1, "nothing to export: the databases name none of the 2"),
-    ("stats run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
+    ("check run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
+    ("record -o run.log", 2, "-i is missing: which bus is recorded (-i), and where (-o)?"),
+    ("record -i no0", 2, "-o is missing: which bus is recorded (-i), and where (-o)?"),
+    ("record -i no0 -o x.log --config x.toml", 2, "--config goes with --service"),
+    ("record --service --config gone.toml", 1, "gone.toml: cannot be read: No such file"),
     ("decode folder", 1, "folder: no log in this folder"),
     # ---------------------------------------------------------------- databases and dumps
     ("dbc show nothing", 1, "no message nothing in 2026"),
@@ -54,7 +60,8 @@ USES = [
     ("dbc list --dbc /nowhere.dbc", 1, "/nowhere.dbc"),
     ("dump run.log -n 0", 2, "-n is 0, but at least 1 frame can be shown"),
     ("dump run.log -T nan", 2, "-T is nan, not a time"),
-    ("dump run.log -L -a", 2, "-a and -t A do not go with -L"),
+    ("dump run.log -L -a", 2, "-a and -t A are of candump's screen: without -L, and with dump"),
+    ("decode run.log -t A", 2, "-a and -t A are of candump's screen: without -L, and with dump"),
     ("dump run.log --signals NO_SUCH", 1, "no signal NO_SUCH"),
     ("dump run.log --from noon", 2, "--from is noon"),
     ("dump run.log,520", 2, "no filter: '520'; a filter is ID:MASK"),

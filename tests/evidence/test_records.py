@@ -56,7 +56,7 @@ def test_the_digest_covers_the_code_that_decides_a_run() -> None:
     assert {
         "fsai_vcu/core/supervision/gate.py",
         "fsai_vcu/interface/codec.py",
-        "fsai_vcu/runtime/engine.py",
+        "fsai_vcu/runtime/turns.py",
         "fsai_vcu/diagnostics/log/reader.py",
         "fsai_vcu/diagnostics/statistics/quantiles.py",
         "fsai_hil/rules/checker.py",

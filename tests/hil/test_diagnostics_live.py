@@ -99,7 +99,7 @@ def test_stats_of_a_live_bus_are_those_of_its_log(
     tmp_path: Path,
     verb: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    argv = [*VERB, "stats", "--json", interface]
+    argv = [*VERB, "check", "--figures", "--json", interface]
     live = listening(interface, argv, tmp_path / "stats.json", tmp_path / "errors")
     bus = listen()
     assert all(bus.send(frame) for frame in FRAMES)
@@ -108,7 +108,7 @@ def test_stats_of_a_live_bus_are_those_of_its_log(
     )
     live.stop()
     ours = [json.loads(line) for line in (tmp_path / "stats.json").read_text().splitlines()]
-    logged = [json.loads(line) for line in verb("stats", "--json", str(bus_log.path)).stdout.splitlines()]
+    logged = [json.loads(line) for line in verb("check", "--figures", "--json", str(bus_log.path)).stdout.splitlines()]
     kept = ("id", "extended", "message", "count", "wrong_lengths", "bits", "remote")
     assert [tuple(e[k] for k in kept) for e in ours if e["type"] == "message"] == [
         tuple(e[k] for k in kept) for e in logged if e["type"] == "message"

@@ -7,7 +7,7 @@ import re
 from fsai_hil.rehearsal.profiles import drawn, graph_of
 
 SEEN = """\
-process 7;<module> (x.py:1);turn (fsai_hil/bench.py:9);poll (fsai_vcu/runtime/engine.py:80);send (can/bus.py:3) 60
+process 7;<module> (x.py:1);turn (fsai_hil/bench.py:9);act (fsai_vcu/runtime/turns.py:80);send (can/bus.py:3) 60
 process 7;<module> (x.py:1);turn (fsai_hil/bench.py:9);on_frame (fsai_vcu/core/bridge.py:50) 39
 process 7;<module> (x.py:1);turn (fsai_hil/bench.py:9);rare <lambda> (x.py:2) 0
 process 7;<module> (x.py:1);_find_and_load (<frozen importlib>:1) 25
@@ -25,7 +25,7 @@ def test_a_bar_is_as_wide_as_its_share_of_the_time() -> None:
     bars = re.findall(r"<title>(\S+) .*?: (\d+) %</title><rect x=\"([\d.]+)\" y=\"\d+\" width=\"([\d.]+)\"", picture)
     assert [(name, share) for name, share, _, _ in bars] == [
         ("turn", "100"),
-        ("poll", "61"),
+        ("act", "61"),
         ("send", "61"),
         ("on_frame", "39"),
     ]

@@ -36,6 +36,7 @@ from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime import loop as loop_module
 from fsai_vcu.runtime import loop_handle as handle_module
+from fsai_vcu.runtime import turns as turns_module
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.link import Ended
 from fsai_vcu.runtime.pacing import MIN_GAP_NS
@@ -178,7 +179,7 @@ def test_a_cycle_made_in_time_but_sent_late_is_a_loop_fault(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
-    encode = loop.loop._codec.encode_command
+    encode = CODEC.encode_command
 
     def named() -> bool:
         return any(int(why.split()[4]) >= 300 for why in said)
@@ -189,7 +190,7 @@ def test_a_cycle_made_in_time_but_sent_late_is_a_loop_fault(
         return encode(*args)
 
     monkeypatch.setattr(loop.loop._bridge, "loop_fault", lambda why, _now_ns: said.append(why))
-    monkeypatch.setattr(loop.loop._codec, "encode_command", slow_until_named)
+    monkeypatch.setattr(CODEC, "encode_command", slow_until_named)
     assert eventually(named)
 
 
@@ -242,7 +243,7 @@ def test_a_late_request_is_refused_but_an_emergency_is_done(
 def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", WAIT_NS)
+    monkeypatch.setattr(turns_module, "EDGE_HUNG_NS", WAIT_NS)
     with systemd(tmp_path, monkeypatch, 20_000) as told:
         loop = ThreadedLoop(spec)
         loop.start()
@@ -256,7 +257,7 @@ def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
         monkeypatch.setattr(loop_module, "open_bus", absent)
         monkeypatch.setattr(CanBus, "drain", gone)
         # In the longest pause between two tries to open it, too.
-        assert eventually(lambda: loop.loop._pause_s == loop_module._REOPEN_MOST_S)
+        assert eventually(lambda: loop.loop._turns._pause_ns == turns_module.REOPEN_MOST_NS)
         while not told_nothing(told):
             pass
         assert told.recv(64) == b"WATCHDOG=1"
@@ -273,33 +274,38 @@ def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
 def test_a_queue_that_stays_full_reopens_the_bus_ever_less_often(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    opened: list[int] = []
-    lost: list[int] = []
-
-    def open_again(*args: object, **kwargs: object) -> CanBus:
-        opened.append(time.monotonic_ns())
-        return open_bus(spec)
+    tried_ns: list[int] = []
+    pauses_ms: list[float] = []
+    closed: list[CanBus] = []
 
     def close(self: CanBus) -> None:
-        lost.append(time.monotonic_ns())
+        closed.append(self)
         original_close(self)
+
+    def open_again(*args: object, **kwargs: object) -> CanBus:
+        pauses_ms.append((time.monotonic_ns() - tried_ns[-1]) / 1e6)
+        return open_bus(spec)
+
+    def refuse(self: CanBus, frame: Frame) -> bool:
+        tried_ns.append(time.monotonic_ns())
+        return False
 
     original_send, original_close = CanBus.send, CanBus.close
     monkeypatch.setattr(loop_module, "open_bus", open_again)
+    monkeypatch.setattr(CanBus, "close", close)
     with open_bus(spec) as car:
         status_received(car)
-        monkeypatch.setattr(CanBus, "close", close)
-        monkeypatch.setattr(CanBus, "send", lambda self, frame: False)
-        assert eventually(lambda: len(opened) >= 4)
+        monkeypatch.setattr(CanBus, "send", refuse)
+        assert eventually(lambda: len(pauses_ms) >= 4)
+        assert len(set(closed)) >= 4
         monkeypatch.setattr(CanBus, "send", original_send)
-        monkeypatch.setattr(CanBus, "close", original_close)
         drop_all(car)
         status_received(car)
-    pauses_ms = [(there - gone) / 1e6 for gone, there in zip(lost, opened, strict=False)]
     assert all(pause >= least for pause, least in zip(pauses_ms, (10, 20, 40, 80), strict=False)), pauses_ms
     told = [record.getMessage() for record in caplog.records if record.levelname in ("ERROR", "WARNING")]
     assert len([line for line in told if "no complete cycle sent for" in line]) == 1, told
-    assert eventually(lambda: loop.report().bus_lost is None and loop.loop._pause_s == loop_module._REOPEN_FIRST_S)
+    assert eventually(lambda: loop.report().bus_lost is None)
+    assert eventually(lambda: loop.loop._turns._pause_ns == turns_module.REOPEN_FIRST_NS)
 
 
 def test_a_single_full_queue_is_counted_and_the_bus_stays_open(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -350,6 +356,26 @@ def test_a_stop_while_moving_requests_emergency_then_is_silent(spec: str, monkey
     assert all(status.estop_request and status.direction is Direction.FORWARD for status in received[-5:])
 
 
+def test_a_turn_judges_its_deadline_reads_and_then_acts(loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+
+    def note(owner: object, name: str) -> None:
+        def noted(*given: Any) -> Any:
+            order.append(name)
+            return original(*given)
+
+        original = getattr(owner, name)
+        monkeypatch.setattr(owner, name, noted)
+
+    turns = loop.loop._turns
+    turn = {"awake": turns, "drain": loop.loop._bus, "receive": loop.far_end, "on_frames": turns, "on_edge": turns}
+    for name, owner in (turn | {"act": turns}).items():
+        note(owner, name)
+    assert eventually(lambda: len(order) > 80)
+    begun = order.index("awake", -40)
+    assert order[begun : begun + 12] == [*turn, "act"] * 2
+
+
 def test_a_hang_is_told_before_the_first_cycle_after_it(loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
     cycle = loop.loop._bridge.cycle
@@ -384,14 +410,12 @@ def starve(loop: ThreadedLoop, told: socket.socket) -> None:
 def test_cycles_past_their_deadline_do_not_feed_the_watchdog(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", WAIT_NS)
+    monkeypatch.setattr(turns_module, "EDGE_HUNG_NS", WAIT_NS)
     with systemd(tmp_path, monkeypatch, 2_000) as told:
         loop = ThreadedLoop(spec)
-        late = threading.Event()
-        monkeypatch.setattr(loop.loop, "_missed", lambda *_: late.is_set())
-        late.set()
+        monkeypatch.setattr(turns_module, "DEADLINE_MISS_NS", -WAIT_NS)
         starve(loop, told)
-        late.clear()
+        monkeypatch.setattr(turns_module, "DEADLINE_MISS_NS", WAIT_NS)
         assert told.recv(64) == b"WATCHDOG=1"
         loop.stop()
 
@@ -399,7 +423,7 @@ def test_cycles_past_their_deadline_do_not_feed_the_watchdog(
 def test_a_silent_edge_starves_the_watchdog_but_in_a_drive(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", 0)
+    monkeypatch.setattr(turns_module, "EDGE_HUNG_NS", 0)
     with systemd(tmp_path, monkeypatch, 2_000) as told:
         loop = ThreadedLoop(spec)
         starve(loop, told)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
-from fsai_vcu.files import DATABASE_BYTES, read_named
 from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.database_text import loaded_without_orphans, read_database_text
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 _KINDS = ("arxml", "cdd", "dbc", "kcd", "sym")
+_PACKED = ("\x1f\x8b", "\x1f\u2039", "PK\x03\x04", "\xfd7zXZ", "BZh")  # as text of Latin-1, or of Windows
 _MAX_PLAIN_BYTES = 8
 _INT64 = 1 << 63
 _LONGEST_PERIOD_MS = 86_400_000  # a day
@@ -43,6 +44,7 @@ class Databases:
         self.layouts = layouts
         self.baudrate = baudrate
         self.signed_flags: tuple[str, ...] = ()  # official files with one-bit flags that are signed, and read unsigned
+        self.left_out: tuple[str, ...] = ()  # by file, entries that belong to nothing
         self._messages = messages
 
     def message(self, key: int) -> Message:
@@ -81,8 +83,9 @@ def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> 
     except ValueError as error:
         raise UserError(str(error)) from error
     loaded = [_load(path) for path in paths]
-    databases = databases_of(database for database, _ in loaded)
-    databases.signed_flags = tuple(str(path) for path, (_, signed) in zip(paths, loaded, strict=True) if signed)
+    databases = databases_of(database for database, _, _ in loaded)
+    databases.signed_flags = tuple(str(path) for path, (_, signed, _) in zip(paths, loaded, strict=True) if signed)
+    databases.left_out = tuple(f"{path}: {words}" for path, (_, _, words) in zip(paths, loaded, strict=True) if words)
     return databases
 
 
@@ -127,13 +130,14 @@ def _make_printable(database: Database) -> None:
         database.refresh()
 
 
-def _load(path: Path) -> tuple[Database, bool]:
+def _load(path: Path) -> tuple[Database, bool, str]:
     """A file's database; of this car's interface with signed one-bit flags made unsigned, and whether there were any.
+
+    Also a sentence on entries that were left out, or ''.
 
     Raises DatabaseError.
     """
     from fsai_vcu.interface.database import (
-        ENCODING,
         DatabaseError,
         check_bounds,
         check_lengths,
@@ -146,15 +150,22 @@ def _load(path: Path) -> tuple[Database, bool]:
     from cantools.database.can import Database  # isort: skip
 
     try:
-        kind = path.suffix.lower().removeprefix(".")
-        text = read_named(path, DATABASE_BYTES, ENCODING if kind in ("dbc", "sym") else "utf-8", "replace")
+        endings = [ending.lower().removeprefix(".") for ending in reversed(path.suffixes)]
+        kind = next((ending for ending in endings if ending in _KINDS), path.suffix.lower().removeprefix("."))
+        text, left_out = read_database_text(path, kind), ""
+        if text.startswith(_PACKED):
+            raise DatabaseError(f"{path}: packed: unpack it first")
         if kind not in _KINDS or kind == "dbc":
             check_lengths(path, text)
         if kind == "dbc" and is_modest(text):
             # Without the cache that an environment variable can name: what it holds is unpickled.
-            loaded = cantools.database.load_string(text, kind, strict=False)
+            loaded, left_out = loaded_without_orphans(
+                lambda text: cantools.database.load_string(text, "dbc", strict=False), text
+            )
         else:
-            (loaded,) = results_of("fsai_vcu.diagnostics.decode.foreign", str(path), kind if kind in _KINDS else "")
+            ((loaded, left_out),) = results_of(
+                "fsai_vcu.diagnostics.decode.foreign", str(path), kind if kind in _KINDS else ""
+            )
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
     except DatabaseError:
@@ -168,14 +179,14 @@ def _load(path: Path) -> tuple[Database, bool]:
         raise DatabaseError(f"{path}: describes no message")
     check_bounds(path, loaded)
     if kind != "dbc":
-        return loaded, False
-    check_whole(path, text)
+        return loaded, False, left_out
+    check_whole(path, text, by_nodes=True)
     signed = ("AI2VCU_" in text or "VCU2AI_" in text) and any(
         signal.length == 1 and signal.is_signed for message in loaded.messages for signal in message.signals
     )
     if signed:
         make_flags_unsigned(loaded)
-    return loaded, signed
+    return loaded, signed, left_out
 
 
 def _layout(message: Message) -> MessageLayout:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from fsai_vcu.files import DATABASE_BYTES, MIB, read_named
-from fsai_vcu.interface.database import ENCODING
+from fsai_vcu.files import MIB
+from fsai_vcu.interface.database_text import loaded_without_orphans, read_database_text
 from fsai_vcu.runtime.bounded import Bounds, send_results
 
 import cantools.database  # isort: skip
@@ -22,9 +22,12 @@ def main(path: Path, kind: str) -> None:
     """kind: as cantools names it; '' where it is to find out."""
 
     def read(send: Callable[[Any], None]) -> None:
-        text = read_named(path, DATABASE_BYTES, ENCODING if kind in ("dbc", "sym") else "utf-8", "replace")
+        def load(text: str) -> Any:
+            return cantools.database.load_string(text, kind or None, strict=False)
+
+        text = read_database_text(path, kind)
         try:
-            send(cantools.database.load_string(text, kind or None, strict=False))
+            send(loaded_without_orphans(load, text) if kind == "dbc" else (load(text), ""))
         except UnsupportedDatabaseFormatError as error:  # what each parser raised is in it
             if any(isinstance(each, MemoryError) for each in vars(error).values()):
                 raise MemoryError from error

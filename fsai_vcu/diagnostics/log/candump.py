@@ -7,6 +7,7 @@ Whatever does not pass every check there is read by candump_line.py.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from fsai_vcu.diagnostics.log.frames import (
     SENT,
     Frames,
     Ints,
+    LogFrame,
     Mask,
     frames_of,
     joined,
@@ -75,8 +77,12 @@ class _Shape(NamedTuple):
         )
 
 
-def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Frames, list[Unreadable], int]:
+def parse_block(
+    block: npt.NDArray[np.uint8], channels: list[str], parse: Callable[[str], LogFrame | None] = parse_line
+) -> tuple[Frames, list[Unreadable], int]:
     """Frames of whole lines, each with its line end; new channels are added to `channels`.
+
+    parse: for lines of no common shape.
 
     Returns (frames, what could not be read, number of lines).
     """
@@ -97,7 +103,7 @@ def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Fram
         rows.append(rest[read])
         rest = rest[~read]
     remaining = ((row, text[starts[row] : ends[row]].tobytes()) for row in rest.tolist())
-    singly, unreadable = read_lines(remaining, parse_line)
+    singly, unreadable = read_lines(remaining, parse)
     whole = joined([*parts, frames_of(singly.values(), channels)])
     if len(parts) + len(singly) > 1:
         whole = whole.only(np.argsort(np.concatenate([*rows, np.array([*singly], np.int64)])))

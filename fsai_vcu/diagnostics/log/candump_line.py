@@ -41,9 +41,13 @@ class Unreadable(NamedTuple):
 
 
 def read_lines(
-    lines: Iterable[tuple[int, bytes]], parse: Callable[[str], LogFrame | None]
+    lines: Iterable[tuple[int, bytes]], parse: Callable[[str], LogFrame | None], encoding: str = "ascii"
 ) -> tuple[dict[int, LogFrame], list[Unreadable]]:
-    """The frames that `parse` finds (or its ValueErrors), by the numbers of their lines. Empty lines are none."""
+    """The frames that `parse` finds (or its ValueErrors), by the numbers of their lines. Empty lines are none.
+
+    encoding: 'ascii' takes nothing else for text; in any other what is no text of it is replaced.
+    """
+    errors = "strict" if encoding == "ascii" else "replace"
     frames: dict[int, LogFrame] = {}
     unreadable: list[Unreadable] = []
     for number, line in lines:
@@ -53,7 +57,7 @@ def read_lines(
         if not line.strip():
             continue
         try:
-            frame = parse(line.decode("ascii"))
+            frame = parse(line.decode(encoding, errors))
         except ValueError as error:
             if len(unreadable) >= _SAID:
                 unreadable.append(Unreadable(number, "no frame either"))
@@ -76,10 +80,10 @@ def _beginning(line: bytes) -> str:
     return f"'{printable(shown)}{'…' if len(line) > 60 else ''}'"
 
 
-def whole_line(line: bytes) -> bool:
+def whole_line(line: str) -> bool:
     """Whether a line without its end has a whole frame: one that cannot be longer than it is."""
-    digits = line.partition(b"#")[2].strip()
-    return len(digits) == 2 * MAX_CLASSIC_DLC or digits.endswith((b" R", b" T"))
+    digits = line.partition("#")[2].strip()
+    return len(digits) == 2 * MAX_CLASSIC_DLC or digits.endswith((" R", " T"))
 
 
 def parse_line(line: str) -> LogFrame:

@@ -7,23 +7,32 @@ from typing import Final
 
 from fsai_vcu.diagnostics.log.candump_line import MAX_CLASSIC_DLC, MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
 from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.problems import Problems
+from fsai_vcu.diagnostics.log.rows import Rows
 
-HEAD: Final = "time stamp,id,"
+HEAD: Final = re.compile("time stamp,id,", re.IGNORECASE)
+"""A line that tells this format."""
+
 _BUS: Final = "can"
 
 
-class GvretLines:
+class GvretRows(Rows):
     """Reads the lines of one file: the head first, which older versions write without `Dir`."""
 
-    def __init__(self) -> None:
+    def __init__(self, told: Problems) -> None:
+        super().__init__(told)
         self._columns: list[str] = []
 
+    def is_whole(self, line: str) -> bool:
+        return re.fullmatch(r".*,[0-9A-Fa-f]{2},?\s*", line) is not None
+
     def __call__(self, line: str) -> LogFrame | None:
-        """The frame on a line, None on the head. Raises ValueError."""
         words = [word.strip() for word in line.split(",")]
-        if line.lower().startswith(HEAD):
+        if HEAD.match(line):
             self._columns = [word.lower() for word in words]
             return None
+        if len(words) > max(len(self._columns), 1) + 1:  # a comma ends each row
+            raise ValueError("not a line of GVRET")
         named = dict(zip(self._columns, words, strict=False))
         try:
             t_us, length = int(named["time stamp"]), int(named["len"])
@@ -43,11 +52,3 @@ class GvretLines:
             raise ValueError(f"no {29 if extended else 11}-bit identifier: {named['id']}")
         sent = {"tx": True, "rx": False}.get(named.get("dir", "").lower())
         return LogFrame(t_us * 1000, f"{_BUS}{named.get('bus', '0')}", can_id, data, extended, sent=sent)
-
-
-def whole_gvret(line: bytes) -> bool:
-    """Whether a line without its end is whole: as many data bytes as it announces, the last one of two digits.
-
-    That they are as many is checked when it is read.
-    """
-    return re.fullmatch(rb".*,[0-9A-Fa-f]{2},?\s*", line) is not None

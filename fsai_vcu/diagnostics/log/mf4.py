@@ -5,6 +5,8 @@ asammdf trusts a file, and so runs in a process with bounds.
 
 from __future__ import annotations
 
+import io
+import struct
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -26,6 +28,7 @@ from fsai_vcu.diagnostics.log.frames import (
     REMOTE,
     SENT,
     Frames,
+    frames_of,
     joined,
 )
 from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES, bytes_on_disk
@@ -33,6 +36,10 @@ from fsai_vcu.runtime.bounded import BoundedError, Bounds, results_of, send_resu
 
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 _MARKS: Final = {"EDL": FD, "BRS": BRS, "ESI": ESI}
+_ID_BYTES: Final = 64  # of the block that begins a file
+_FLAGS_AT: Final = 60  # in it: what was not finalized
+_LAST_LENGTH: Final = 1 << 2
+_VIRTUAL: Final = (3, 6)  # types of channels that are no bits of a record
 _EXTENDED_BIT: Final = 1 << 31  # of an identifier, where no IDE stands beside it
 _AT_ONCE: Final = 1 << 22  # bytes of records: each has 64 of data, of which few are used
 _BATCH: Final = 100_000
@@ -68,10 +75,31 @@ def main(path: Path, seconds: int) -> None:
     def read(send: Callable[[Frames | str], None]) -> None:
         # A frame whose bytes are marked as invalid came nevertheless.
         options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
-        with asammdf.MDF(path, **options) as mdf:
+        try:
+            opened = asammdf.MDF(_finalizable(path) or path, **options)
+        except (ValueError, struct.error) as error:  # so it ends where a block should be that is behind the end
+            raise ValueError(f"cut off, or broken: {error}") from error
+        with opened as mdf:
             _send_frames(mdf, max(UNPACKED_BYTES, UNPACKED_TIMES * bytes_on_disk(path.stat())), send)
 
     send_results(path, Bounds(_MEMORY_BYTES, _MEMORY_TIMES, seconds, _SECONDS_PER_MIB), read)
+
+
+def _finalizable(path: Path) -> io.BytesIO | None:
+    """A copy of a file that its logger did not finalize, as loggers leave them, which asammdf does; None of another.
+
+    asammdf gives up where the length of the last data block is to be set, and the blocks are packed, which have their
+    lengths: then nothing is to be set.
+    """
+    with path.open("rb") as file:
+        head = file.read(_ID_BYTES)
+        flags = int.from_bytes(head[_FLAGS_AT : _FLAGS_AT + 2], "little")
+        if len(head) < _ID_BYTES or not (head.startswith(b"UnFinMF ") or flags):
+            return None
+        content = bytearray(head + file.read())
+    if b"##DZ" in content:
+        content[_FLAGS_AT : _FLAGS_AT + 2] = (flags & ~_LAST_LENGTH).to_bytes(2, "little")
+    return io.BytesIO(content)
 
 
 def _send_frames(mdf: Any, most_bytes: int, send: Callable[[Frames | str], None]) -> None:
@@ -119,8 +147,17 @@ def _group_frames(
     """Of one channel group, which has frames of one kind. `channels` grows."""
     start_s = mdf.header.start_time.timestamp()
     announced, read = mdf.groups[number].channel_group.cycles_nr, 0
+    computed = [
+        channel.name
+        for channel in mdf.groups[number].channels
+        if channel.name.startswith(f"{kind}.") and (channel.channel_type in _VIRTUAL or channel.conversion is not None)
+    ]
     for signal in mdf.iter_get(kind, number, raw=True):
         columns = {name.removeprefix(f"{kind}."): signal.samples[name] for name in signal.samples.dtype.names}
+        for name in computed:
+            values = mdf.get(name, number, record_offset=read, record_count=len(signal)).samples
+            if values.dtype.kind in "iufb":  # words stand for the numbers that are in the records
+                columns[name.removeprefix(f"{kind}.")] = values
         times = signal.timestamps + start_s
         timely = (times >= 0) & (times <= MAX_SECONDS)
         for time in times[~timely].tolist():
@@ -134,6 +171,9 @@ def _group_frames(
 
 def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
     count = len(t_ns)
+    if not count:
+        return frames_of((), channels)
+    columns = {name: _whole(column) for name, column in columns.items()}
     ids = columns.get("ID", np.zeros(count, np.uint32)).astype(np.uint32)
     flags = np.full(count, _KINDS[kind], np.uint8)
     if not flags.any() or kind == "CAN_RemoteFrame":  # of an error frame the identifier is its class
@@ -165,6 +205,15 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
         channels,
         {row: payload[row, : length[row]].tobytes() for row in np.flatnonzero(length > CLASSIC_BYTES).tolist()},
     )
+
+
+def _whole(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Whole numbers, as a conversion does not leave them."""
+    if column.dtype.kind != "f":
+        return column
+    if not (np.isfinite(column).all() and (column == np.rint(column)).all() and (np.abs(column) < 1 << 32).all()):
+        raise ValueError("a field of the frames is no whole number")
+    return column.astype(np.int64)
 
 
 if __name__ == "__main__":

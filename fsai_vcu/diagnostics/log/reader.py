@@ -1,80 +1,40 @@
-"""Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4, TRC, and SavvyCAN's CSV.
+"""Every format of logs behind one call: frames as columns, with everything that could not be read.
 
-The format is known by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
+The format is told by the content (formats.py). A line or an end that is not a frame becomes a `Problem` of the
 log, with its place, and never an exception. Only a log that cannot be opened at all raises `LogError`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import gzip
-import io
-import logging
 import shutil
 import sys
 import tempfile
-import zlib
-from collections.abc import Callable, Iterator
-from importlib.util import find_spec
-from itertools import islice
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 
 from fsai_vcu.diagnostics.log.candump import parse_block
-from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, read_lines, too_long, whole_line
-from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
-from fsai_vcu.files import TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES, open_named
+from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, read_lines, too_long
+from fsai_vcu.diagnostics.log.formats import CANDUMP, Format, foreign_words, format_of
+from fsai_vcu.diagnostics.log.frames import Frames, Ints, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
+from fsai_vcu.diagnostics.log.rows import Rows
+from fsai_vcu.diagnostics.log.stream import as_utf8, head_of, unpacked
+from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError
-
-if TYPE_CHECKING:
-    import can
+from fsai_vcu.runtime.bounded import BoundedError
 
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 21  # more than that does not stay in a processor's cache
 _BATCH: Final = 10_000
 
-_KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
-_GZIP: Final = b"\x1f\x8b"
-_FORMATS: Final = (  # by the first bytes; the second of TRC: version 1.0
-    ("BLF", (b"LOGG",)),
-    ("MF4", (b"MDF ",)),
-    ("ASC", (b"date ", b"base hex", b"base dec", b"// version")),
-    ("TRC", (b";$FILEVERSION=", b";##############")),
-    ("GVRET", (HEAD.encode(),)),
-)
-
-
-_OF_LINES: Final = ("candump", "GVRET")
-
-
-class Problems:
-    """What could not be read in a log. `texts` are whole lines for people, each with its place; all are counted."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.texts: list[str] = []
-
-    def add(self, text: str) -> None:
-        self.count += 1
-        if len(self.texts) < _KEPT_PROBLEMS:
-            self.texts.append(text)
-
-    def __bool__(self) -> bool:
-        return self.count > 0
-
-    def summary(self) -> str:
-        """One line."""
-        more = f" (and {self.count - 1} more like it or worse)" if self.count > 1 else ""
-        return self.texts[0] + more if self.count else ""
-
-
-def kind_of(head: bytes) -> str:
-    """The format of a log, from its first bytes."""
-    starts = (head, head.lower())
-    return next((kind for kind, begins in _FORMATS if any(each.startswith(begins) for each in starts)), "candump")
+# Times that are differences, each from the frame before, step back often, and never far on.
+_FEW: Final = 20
+_STEPS_BACK: Final = 0.02
+_LONGEST_STEP_NS: Final = 86_400_000_000_000
+_OF_KNOWN_TIMES: Final = ("ASC", "TRC", "BusMaster")  # their heads say it
 
 
 class LogError(UserError):
@@ -84,41 +44,38 @@ class LogError(UserError):
 class Log:
     """An open log. `chunks` and `frames` read it once, from here on; `problems` grows while they do."""
 
-    def __init__(self, name: str, stream: IO[bytes], path: Path | None) -> None:
+    def __init__(self, name: str, stream: IO[bytes], path: Path | None, broken: str | None = None) -> None:
+        """path: of the file itself, where the stream is what is in it, not packed. broken: why it cannot be read."""
         self.name = name
         self.problems = Problems()
         self._stream = stream
         self._path = path
         self._pipe = path is None
-        self._broken: str | None = None  # why it cannot be read to its end
-        self._announced_bytes = 0
+        self._broken = broken  # why it cannot be read to its end
+        self._cut = False  # in a line
         self._lines = 0
-        self.kind = kind_of(_head(stream))
+        self._head = head_of(stream)
+        self._format = format_of(self._head)
+        self.kind = (self._format or CANDUMP).name
 
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
-        channels: list[str] = []
-        if self.kind == "MF4":
-            yield from self._mf4_chunks()
+        format_ = self._format or CANDUMP
+        words = self._broken or ("" if self._format else foreign_words(self._head))
+        if words:
+            self.problems.add(f"{self.name}: {words}")
             return
-        if self.kind not in _OF_LINES:
-            messages = self._messages()
-            while batch := list(islice(messages, _BATCH)):
-                yield frames_of(batch, channels)
-            return
-        parse_gvret = GvretLines()
-        for block in self._blocks():
-            if self.kind == "GVRET":
-                lines = block.count(b"\n")
-                singly, unreadable = read_lines(enumerate(block.replace(b"\r\n", b"\n").split(b"\n")), parse_gvret)
-                columns = frames_of(singly.values(), channels)
-            else:
-                columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
-            for problem in unreadable:
-                self._unreadable(problem.line, problem.reason)
-            self._lines += lines
-            if len(columns):
-                yield columns
+        count = 0
+        if format_.rows is not None:
+            chunks = self._row_chunks(format_.rows(self.problems))
+        else:
+            chunks = self._binary_chunks(format_)
+        for frames in chunks:
+            count += len(frames)
+            if len(frames):
+                yield frames
+        if self._format is None and not count and self.problems:
+            self.problems.texts[0] += ": no format of a log that is read"
 
     def frames(self) -> Iterator[LogFrame]:
         """All frames one by one."""
@@ -127,7 +84,26 @@ class Log:
 
     # ------------------------------------------------------------ text
 
-    def _blocks(self) -> Iterator[bytes]:
+    def _row_chunks(self, rows: Rows) -> Iterator[Frames]:
+        channels: list[str] = []
+        added = _AddedUp(self.problems) if self.kind not in _OF_KNOWN_TIMES else None
+        for block in self._blocks(rows):
+            if self.kind == CANDUMP.name:
+                columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels, rows)
+            else:
+                lines = block.count(b"\n")
+                each = enumerate(block.replace(b"\r\n", b"\n").split(b"\n"))
+                singly, unreadable = read_lines(each, rows, "utf-8")
+                columns = frames_of(singly.values(), channels)
+            for problem in unreadable:
+                self._unreadable(problem.line, problem.reason)
+            self._lines += lines
+            if len(columns):
+                yield added(columns) if added else columns
+        if (missing := rows.missing()) and not self._cut:
+            self.problems.add(f"{self.name}: cut off: {missing}")
+
+    def _blocks(self, rows: Rows) -> Iterator[bytes]:
         """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts.
 
         Of a line longer than any frame's nothing is kept but its beginning: a file may be one line of zeros.
@@ -147,9 +123,10 @@ class Log:
         if endless:
             self._unreadable(0, too_long(endless))
         elif carried.strip() and self._broken is None:
-            if whole_gvret(carried) if self.kind == "GVRET" else whole_line(carried):
+            if rows.is_whole(carried.decode("utf-8", "replace")):
                 yield carried + b"\n"
             else:
+                self._cut = True
                 self._unreadable(0, "cut off, without a line end; its frame is left out")
         if self._broken is not None:
             self.problems.add(f"{self.name}: cannot be read to its end: {self._broken}")
@@ -165,7 +142,7 @@ class Log:
         while size < _BLOCK_BYTES and not (self._pipe and parts) and self._broken is None:
             try:
                 part = self._stream.read1(_BLOCK_BYTES - size)  # type: ignore[attr-defined]
-            except (OSError, EOFError, zlib.error) as error:
+            except OSError as error:
                 self._broken = _why(error)
                 break
             if not part:
@@ -174,77 +151,49 @@ class Log:
             size += len(part)
         return b"".join(parts)
 
-    # ------------------------------------------------------------ other formats, through python-can
+    # ------------------------------------------------------------ other formats
 
-    def _messages(self) -> Iterator[LogFrame]:
+    def _binary_chunks(self, format_: Format) -> Iterator[Frames]:
         read = 0
         try:
-            for message in self._reader():
-                frame = _frame_of(message)
-                if frame is None:
-                    self.problems.add(f"{self.name}: after frame {read}: a time that is none: {message.timestamp}")
+            for columns in self._of_frames(format_) if format_.frames is not None else self._of_file(format_):
+                read += len(columns)
+                yield columns
+        except (ReadingEnds, BoundedError, OSError) as error:
+            after = f" after frame {read}" if read else ""
+            self.problems.add(f"{self.name}: not readable as {self.kind}{after}: {_why(error)}")
+
+    def _of_frames(self, format_: Format) -> Iterator[Frames]:
+        """Through a reader of single frames, or of some; those before its end are kept."""
+        assert format_.frames is not None
+        channels: list[str] = []
+        batch: list[LogFrame] = []
+        try:
+            for frame in format_.frames(self._stream, self.problems, self.name):
+                if isinstance(frame, Frames):
+                    yield frames_of(batch, channels)
+                    batch = []
+                    yield frame
                     continue
-                read += 1
-                yield frame
-            if self._is_cut_off():
-                self.problems.add(f"{self.name}: cut off after frame {read}")
-        except Exception as error:  # the readers have no common base class for what a broken file makes them raise
-            self.problems.add(f"{self.name}: not readable as {self.kind} after frame {read}: {_why(error)}")
+                batch.append(frame)
+                if len(batch) == _BATCH:
+                    yield frames_of(batch, channels)
+                    batch = []
+        except (ReadingEnds, OSError):
+            yield frames_of(batch, channels)
+            raise
+        yield frames_of(batch, channels)
 
-    def _reader(self) -> Iterator[can.Message]:
-        import fsai_vcu.lean_can  # noqa: F401  before any other part of python-can
-
-        if self.kind == "BLF":
-            from fsai_vcu.diagnostics.log.blf import BoundedBlfReader
-
-            reader = BoundedBlfReader(self._stream)
-            self._announced_bytes = reader.file_size
-            return iter(reader)
-        from can.io.asc import ASCReader
-        from can.io.trc import TRCReader
-
-        text: Any = _Lines(self._stream, lambda line: self.problems.add(f"{self.name}: a line is {too_long(line)}"))
-        if self.kind == "TRC":  # rows that its reader skips, error frames among them, are named in its own log only
-            skipped = logging.getLogger(TRCReader.__module__)
-            skipped.setLevel(logging.INFO)
-            skipped.filters = [self._row_skipped]
-        return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
-
-    def _row_skipped(self, record: logging.LogRecord) -> bool:
-        if record.levelno >= logging.INFO:
-            self.problems.add(f"{self.name}: a row is left out: {record.getMessage().removeprefix('TRCReader: ')}")
-        return False
-
-    def _mf4_chunks(self) -> Iterator[Frames]:
-        """Through asammdf alone: python-can's reader works on each frame."""
-        if find_spec("asammdf") is None:
-            self.problems.add(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'")
+    def _of_file(self, format_: Format) -> Iterator[Frames]:
+        """Through a reader that needs a file with a name."""
+        assert format_.columns is not None
+        if self._path is not None:
+            yield from format_.columns(self._path, self.problems, self.name)
             return
-        from fsai_vcu.diagnostics.log.mf4 import read_mf4
-        from fsai_vcu.runtime.bounded import BoundedError
-
-        with contextlib.ExitStack() as stack:
-            try:
-                path = self._path
-                if path is None or not isinstance(self._stream, io.BufferedReader):
-                    unpacked = stack.enter_context(tempfile.NamedTemporaryFile(suffix=".mf4"))
-                    shutil.copyfileobj(self._stream, unpacked, _BLOCK_BYTES)
-                    unpacked.flush()
-                    path = Path(unpacked.name)
-                yield from read_mf4(path, lambda problem: self.problems.add(f"{self.name}: {problem}"))
-            except (BoundedError, OSError, EOFError, zlib.error) as error:
-                self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")
-
-    def _is_cut_off(self) -> bool:
-        """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""
-        if self._path is None or not isinstance(self._stream, io.BufferedReader):
-            return False  # of a packed log the unpacking tells
-        with open_named(self._path) as file:
-            length = file.seek(0, io.SEEK_END)
-            if self.kind in ("ASC", "TRC"):
-                file.seek(max(0, length - 1))
-                return file.read(1) != b"\n"
-        return length < self._announced_bytes
+        with tempfile.NamedTemporaryFile() as copy:
+            shutil.copyfileobj(self._stream, copy, _BLOCK_BYTES)
+            copy.flush()
+            yield from format_.columns(Path(copy.name), self.problems, self.name)
 
     def close(self) -> None:
         self._stream.close()
@@ -254,72 +203,6 @@ class Log:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class _Unpacked(gzip.GzipFile):
-    """What a file packed with gzip holds; OSError where that is more than a packed log can be."""
-
-    def __init__(self, packed: IO[bytes]) -> None:
-        self._packed = _Counted(packed)
-        self._bytes = 0
-        super().__init__(fileobj=self._packed, mode="rb")
-
-    def read(self, size: int | None = -1) -> bytes:
-        parts, left = [], sys.maxsize if size is None or size < 0 else size
-        while left and (part := self._checked(super().read(min(left, _BLOCK_BYTES)))):
-            parts.append(part)
-            left -= len(part)
-        return b"".join(parts)
-
-    def read1(self, size: int = -1) -> bytes:
-        return self._checked(super().read1(size))
-
-    def readline(self, size: int | None = -1) -> bytes:
-        return self._checked(super().readline(_BLOCK_BYTES if size is None or size < 0 else size))
-
-    def _checked(self, data: bytes) -> bytes:
-        self._bytes += len(data)
-        if self._bytes > UNPACKED_BYTES and self._bytes > UNPACKED_TIMES * self._packed.bytes:
-            raise OSError(TOO_MUCH_PACKED)
-        return data
-
-
-class _Counted:
-    """A file of which is counted how much of it has been read."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.bytes = 0
-
-    def read(self, size: int = -1) -> bytes:
-        data = self._file.read(size)
-        self.bytes += len(data)
-        return data
-
-    def seek(self, offset: int) -> int:
-        raise OSError("it is read once")
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class _Lines(io.TextIOBase):
-    """A text file whose lines are never longer than `LONGEST_LINE`; `left_out` is told the beginning of one that is."""
-
-    def __init__(self, stream: IO[bytes], left_out: Callable[[bytes], None]) -> None:
-        self._stream = stream
-        self._left_out = left_out
-
-    def readline(self, size: int = -1) -> str:  # type: ignore[override]
-        while len(line := self._stream.readline(LONGEST_LINE + 1)) > LONGEST_LINE and not line.endswith(b"\n"):
-            self._left_out(line)
-            while (part := self._stream.readline(_BLOCK_BYTES)) and not part.endswith(b"\n"):
-                pass
-        return line.decode("utf-8", "replace").replace("\r\n", "\n")
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
 
 
 def open_log(path: Path | str) -> Log:
@@ -332,44 +215,44 @@ def open_log(path: Path | str) -> Log:
             stream = open_named(file, pipes=True)
         except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
             raise LogError(f"{path}: {_why(error)}") from error
-    if _head(stream).startswith(_GZIP):
-        stream = _Unpacked(stream)
-    return Log(name, stream, file if file and file.is_file() else None)
+    plain, broken = stream, None
+    try:
+        stream = as_utf8(unpacked(stream))
+    except OSError as error:
+        broken = _why(error)
+    is_file = file is not None and file.is_file() and stream is plain
+    return Log(name, stream, file if is_file else None, broken)
+
+
+class _AddedUp:
+    """Adds up times that are differences, each from the frame before, as candump -t d writes them.
+
+    The first frames that are enough to tell decide: such times fall to less than half again and again; none is long.
+    """
+
+    def __init__(self, told: Problems) -> None:
+        self._told = told
+        self._are_differences: bool | None = None
+        self._now_ns = 0
+
+    def __call__(self, frames: Frames) -> Frames:
+        if self._are_differences is None and len(frames) >= _FEW:
+            back = int(np.count_nonzero(frames.t_ns[1:] < frames.t_ns[:-1] // 2))
+            short = int(frames.t_ns.max()) < _LONGEST_STEP_NS
+            self._are_differences = short and back > _STEPS_BACK * len(frames)
+            if self._are_differences:
+                self._told.note("its times are differences (candump -t d), and are added up")
+        if not self._are_differences:
+            return frames
+        t_ns: Ints = self._now_ns + np.cumsum(frames.t_ns)
+        self._now_ns = int(t_ns[-1])
+        return frames.at(np.minimum(t_ns, MAX_SECONDS * 1_000_000_000))
 
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
-
-
-def _head(stream: IO[bytes]) -> bytes:
-    """The first bytes, without taking them from the stream."""
-    try:
-        return stream.peek(16)[:16]  # type: ignore[attr-defined, no-any-return]
-    except (OSError, EOFError, zlib.error):
-        return b""  # what is wrong is reported when the frames are asked for
-
-
-def _frame_of(message: can.Message) -> LogFrame | None:
-    """python-can's message as one of ours; None if its time is none."""
-    if not 0 <= message.timestamp <= MAX_SECONDS:
-        return None
-    channel = message.channel
-    return LogFrame(
-        t_ns=round(message.timestamp * 1e6) * 1000,  # its floats are exact to less than a microsecond, not better
-        channel=f"can{channel}" if isinstance(channel, int) else str(channel or "can0"),
-        can_id=message.arbitration_id,
-        data=b"" if message.is_remote_frame else bytes(message.data),
-        extended=message.is_extended_id and not message.is_error_frame,
-        remote=message.is_remote_frame,
-        error=message.is_error_frame,
-        fd=message.is_fd,
-        brs=message.bitrate_switch,
-        esi=message.error_state_indicator,
-        sent=not message.is_rx,
-        length=message.dlc if message.is_remote_frame else len(message.data),
-    )
 
 
 def _why(error: BaseException) -> str:

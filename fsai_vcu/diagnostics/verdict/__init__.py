@@ -1,4 +1,4 @@
-"""One judgement of a log, shared by check, stats, explain, report, monitor, compare: findings, and their exit status.
+"""One judgement of a log, shared by check, explain, report, monitor, compare: findings, and their exit status.
 
 record, buses, verdict = judged(frames)       # explain.Record and statistics.measure of the part that is asked for
 verdict.explanation                           # explain.explained

@@ -1,4 +1,4 @@
-"""`python -m fsai_hil.evidence.fuzz`: strange frames, commands, services and times before the real Bridge and Engine.
+"""`python -m fsai_hil.evidence.fuzz`: strange frames, commands, services and times before the real Bridge and loop.
 
 They come in virtual time by the rules of a hypothesis state machine (`fuzz_machine`), and the checker of the rules
 judges every frame that goes out. What breaks a rule is cut down to the fewest steps and printed, with what was sent.

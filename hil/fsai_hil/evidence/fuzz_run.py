@@ -1,8 +1,7 @@
-"""The real Bridge and Engine beside a car of a few lines in virtual time, with the checker of the rules between them.
+"""The real Bridge and loop beside a car of a few lines in virtual time, with the checker of the rules between them.
 
-The loop around them is `runtime.loop.BridgeLoop` without its thread: a frame is answered, a broken bus is given up and
-reopened, a turn that is 50 ms late is reported, a killed process begins anew. What the car reports is what was set; its
-wheels and its steering follow what is asked for where nothing else was set.
+The loop is `runtime.turns.Turns`, as in the real-time process; its bus is what is done to it here. What the car reports
+is what was set; its wheels and its steering follow what is asked for where nothing else was set.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from operator import methodcaller as call
 from types import MappingProxyType
@@ -19,7 +18,7 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from fsai_hil.evidence.model import Setting, WatchedBridge
-from fsai_hil.rules.numbers import CYCLE_NS, DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
+from fsai_hil.rules.numbers import CYCLE_NS, MS, STOP_TIMEOUT_NS
 from fsai_vcu.core.bridge import BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -40,10 +39,9 @@ from fsai_vcu.interface.messages import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.runtime.bus import BusLost
-from fsai_vcu.runtime.engine import Engine
+from fsai_vcu.runtime.link import Ask, Message, Request, ResetConfirmed
+from fsai_vcu.runtime.turns import Action, Do, Send, Turns
 
-REOPEN_FIRST_NS: Final = 10 * MS  # the loop's first pause before it tries a lost bus again
 RESTART_NS: Final = 500 * MS  # a process needs at least so long to start
 START_NS: Final = 1_000 * MS
 MAX_CYCLES: Final = 1_500  # of the car, after a station: longer runs show nothing more
@@ -128,7 +126,7 @@ class Run:
         self._motor_brakes = False  # the rear motor's speed limit is 0, so its torque brakes
         self._request_deg = 0.0
         self._dropping = (0, 0)
-        self._breaking: tuple[int, int] | None = None
+        self._breaks_at, self._broken_ms = math.inf, 0.0
         self._taken = 0
 
     def _new_process(self) -> None:
@@ -136,9 +134,8 @@ class Run:
         args = (self._car, setup.config, setup.limits, self._first_run_id, self.now_ns)
         self._bridge = WatchedBridge(codec, codec.revision, *args)
         self._bridge.checker = self._checker
-        self._engine = Engine(self._bridge, codec, self._send, self.now_ns)
-        self._back_ns: int | None = None  # the bus is lost until then
-        self._made = False
+        self._loop = Turns(self._bridge, codec, self.now_ns)
+        self._no_bus_until_ns = self.now_ns
 
     def judge(self) -> None:
         """Raise RuleBroken if a rule has been broken by now."""
@@ -208,20 +205,19 @@ class Run:
 
     def confirm(self, role: str, offset: int = 0) -> None:
         """`role` confirms its reset for the run in hand plus `offset`."""
-        if self._running:
-            self._bridge.on_reset_confirmed(role, self._bridge.run.run_id + offset)
+        self._tell(ResetConfirmed(role, self._bridge.run.run_id + offset))
 
     def mode(self, mode: str) -> None:
         """The operator asks for a mode."""
-        self._bridge.set_mode(mode, self.now_ns)
+        self._ask("set_mode", mode)
 
     def emergency(self, words: str = "") -> None:
         """The operator asks for the emergency brake."""
-        self._bridge.emergency_brake(words, self.now_ns)
+        self._ask("emergency_brake", words)
 
     def reset(self) -> None:
         """The operator asks to clear the emergency."""
-        self._bridge.reset(self.now_ns)
+        self._ask("reset")
 
     # ------------------------------------------------------------ bus and process
 
@@ -230,12 +226,14 @@ class Run:
         self._dropping = (cycles, takes)
 
     def breaks(self, takes: int, ms: float) -> None:
-        """The bus breaks in the next cycle after so many frames, and is back after `ms`."""
-        self._breaking = (takes, max(REOPEN_FIRST_NS, round(ms * MS)))
+        """The bus breaks in the next cycle after so many frames, and can be opened again after `ms`."""
+        self._breaks_at, self._broken_ms = takes, ms
 
     def lost(self, ms: float) -> None:
-        """The bus is lost, and back after `ms`."""
-        self._lose("Network is down", max(REOPEN_FIRST_NS, round(ms * MS)))
+        """The bus is lost, and can be opened again after `ms`."""
+        if self._loop.has_bus and self._running:
+            self._no_bus_until_ns = self.now_ns + round(ms * MS)
+            self._loop.lost("Network is down", self.now_ns)
 
     def restart(self) -> None:
         """The process is killed and starts anew."""
@@ -248,8 +246,7 @@ class Run:
 
     def end(self) -> None:
         """The software is stopped by its operator."""
-        if self._back_ns is None:
-            self._bridge.begin_stop(self.now_ns)
+        self._ask("deactivate")
 
     # ------------------------------------------------------------ the car
 
@@ -314,8 +311,8 @@ class Run:
         self._followed_deg += max(-step, min(step, target - self._followed_deg))
 
     def _deliver(self, frame: Frame) -> None:
-        if self._back_ns is None and self._running:
-            self._engine.on_frame(frame)
+        if self._loop.has_bus and self._running:
+            self._loop.on_frames((frame,), frame.t_ns)
             self._checker.received(frame)
 
     # ------------------------------------------------------------ planner and controller
@@ -330,12 +327,17 @@ class Run:
             self._hand_in(self._fields)
 
     def _hand_in(self, fields: dict[str, Any]) -> None:
-        if self._back_ns is not None or not self._running:
-            return
         fields = dict(fields)
         age_ns, offset = round(fields.pop("age_ms", 0.0) * MS), fields.pop("run_offset", 0)
-        command = VehicleCommand(self.now_ns - age_ns, self._bridge.run.run_id + offset, **fields)
-        self._bridge.on_command(command, self.now_ns)
+        self._tell(VehicleCommand(self.now_ns - age_ns, self._bridge.run.run_id + offset, **fields))
+
+    def _tell(self, message: Message) -> None:
+        if self._running:
+            self._loop.on_edge((message,), self.now_ns)
+
+    def _ask(self, what: Request, argument: str | None = None) -> None:
+        if self._running:
+            self._loop.answer(Ask(0, what, argument, self.now_ns + 1, better_late=False), self.now_ns)
 
     # ------------------------------------------------------------ the loop
 
@@ -346,49 +348,51 @@ class Run:
     def _pass(self, ns: int) -> None:
         """Let time pass; the loop turns whenever something is due."""
         until_ns = self.now_ns + ns
-        while self._running:
-            due_ns = self._back_ns if self._back_ns is not None else self._engine.due_ns() + self.late_ns
-            if due_ns > until_ns:
-                break
+        while self._running and (due_ns := self._loop.due_ns() + self.late_ns) <= until_ns:
             self.now_ns = max(self.now_ns, due_ns)
             self._turn()
         self.now_ns = until_ns
 
     def _turn(self) -> None:
-        """What the loop does between two frames."""
+        """What the loop does between two frames, where it is not late."""
+        loop, now_ns = self._loop, self.now_ns
+        if self._running and now_ns >= loop.due_ns() + self.late_ns:
+            loop.awake(now_ns)
+            if loop.has_bus:
+                self._checker.before_cycle(now_ns)
+            self._do(loop.act(now_ns))
+
+    def _do(self, actions: Iterable[Action]) -> None:
+        """Carry out the actions; reports, the log and the watchdog are not simulated."""
+        loop, now_ns = self._loop, self.now_ns
+        for action in actions:
+            match action:
+                case Send(frames):
+                    self._send_all(frames)
+                case Do.OPEN if now_ns < self._no_bus_until_ns:
+                    self._do(loop.refused("no such device", now_ns))
+                case Do.OPEN:
+                    loop.opened(now_ns)
+                    self._turn()
+
+    def _send_all(self, frames: tuple[Frame, ...]) -> None:
         now_ns = self.now_ns
-        if self._back_ns is not None:
-            if now_ns < self._back_ns:
-                return
-            self._back_ns = None
-            self._engine = Engine(self._bridge, self.codec, self._send, now_ns)
-            self._bridge.bus_back(now_ns)
-        due_ns = self._engine.due_ns()
-        if now_ns < due_ns + self.late_ns or not self._running:
+        self._taken = 0
+        complete = all(map(self._send, frames))
+        self._checker.cycle_over(now_ns, bool(frames))
+        if frames and self._taken >= self._breaks_at:
+            self._breaks_at = math.inf
+            self.lost(self._broken_ms)
             return
-        if now_ns - due_ns >= DEADLINE_MISS_NS:
-            self._bridge.loop_fault(f"the CAN loop was {(now_ns - due_ns) / 1e6:.0f} ms late", now_ns)
-        self._checker.before_cycle(now_ns)
-        self._taken, self._made = 0, False
-        try:
-            self._engine.poll(now_ns)
-        except BusLost as lost:
-            self._checker.cycle_over(now_ns)
-            assert self._breaking is not None
-            back_ns, self._breaking = self._breaking[1], None
-            self._lose(str(lost), back_ns)
-            return
-        self._checker.cycle_over(now_ns, self._made)
-        self._checker.on_mode_shown(self._bridge.state.supervisor.mode.value)
-        if self._made and self._dropping[0] > 0:
+        if frames and self._dropping[0] > 0:
             self._dropping = (self._dropping[0] - 1, self._dropping[1])
-        self._note_reached()
+        self._do(self._loop.sent(complete, now_ns if frames else None, now_ns))
+        if self._loop.has_bus:
+            self._checker.on_mode_shown(self._bridge.state.supervisor.mode.value)
+            self._note_reached()
 
     def _send(self, frame: Frame) -> bool:
-        self._made = True
-        if self._breaking is not None and self._taken >= self._breaking[0]:
-            raise BusLost("Network is down")
-        if self._dropping[0] > 0 and self._taken >= self._dropping[1]:
+        if self._taken >= self._breaks_at or (self._dropping[0] > 0 and self._taken >= self._dropping[1]):
             return False
         self._taken += 1
         image = self._checker.sent(Frame(frame.can_id, frame.data, self.now_ns))
@@ -407,11 +411,6 @@ class Run:
             self.reached.add(("AS state", state.as_state.name))
         self.reached.add(("phase", decision.phase.name))
         self.reached.update(("reason", reason.slug) for reason in self._bridge.tally.active)
-
-    def _lose(self, why: str, for_ns: int) -> None:
-        if self._back_ns is None and self._running:
-            self._back_ns = self.now_ns + for_ns
-            self._bridge.bus_lost(why, self.now_ns)
 
 
 # ---------------------------------------------------------------- stations

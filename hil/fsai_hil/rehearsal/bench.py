@@ -58,8 +58,8 @@ from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import open_bus
-from fsai_vcu.runtime.engine import Engine
 from fsai_vcu.runtime.lock import holder_pid
+from fsai_vcu.runtime.turns import Send, Turns
 
 REVISION = "2026"
 MISSIONS = ("acceleration", "skidpad", "autocross", "trackdrive")
@@ -182,31 +182,32 @@ def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
 
 
 @contextmanager
-def answering(codec: Codec) -> Iterator[tuple[Work, Engine]]:
+def answering(codec: Codec) -> Iterator[tuple[Work, Bridge]]:
     """What answers one 0x520 after the other on a loopback bus, past the time in which a bridge only listens."""
     chosen = revision(REVISION)
     statuses = [codec.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)) for bit in (False, True)]
     with open_bus(f"loopback:bench-{os.getpid()}", may_send=AI_IDS) as bus:
         bridge = Bridge(codec, chosen, CARS[REVISION], BridgeConfig(), None, now_ns=0)
-        engine = Engine(bridge, codec, bus.send, 0)
-        turns = count(1)
+        turns, numbers = Turns(bridge, codec, 0), count(1)
 
         def turn() -> None:
-            number = next(turns)
+            number = next(numbers)
             now_ns, status = number * PERIOD_NS, statuses[number & 1]
-            engine.on_frame(Frame(status.can_id, status.data, now_ns))
-            engine.poll(now_ns)
+            turns.on_frames((Frame(status.can_id, status.data, now_ns),), now_ns)
+            for action in turns.act(now_ns):
+                if isinstance(action, Send):
+                    turns.sent(all(map(bus.send, action.frames)), now_ns if action.frames else None, now_ns)
 
         for _ in range(100):
             turn()
-        yield turn, engine
+        yield turn, bridge
 
 
 def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
     """From a 0x520 received to five frames sent, on the loopback bus: ours supervised and limited, theirs not."""
     values = command_values(database, codec.encode_command(COMMAND))
     status = codec.encode(VcuStatus(as_state=AsState.AS_OFF))
-    with answering(codec) as (ours, engine):
+    with answering(codec) as (ours, bridge):
         plain = can.Bus(interface="fsai_loopback", channel=f"bench-{os.getpid()}-peer")
 
         def peer() -> None:
@@ -218,10 +219,10 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
                 plain.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
         try:
-            before = engine.cycles
+            before = bridge.tally.cycles
             words = "answer a 0x520", "us/cycle", "cantools + python-can"
             found = compared(*words, ours=ours, peer=peer, effort=effort, scale=1e6)
-            assert engine.cycles - before >= effort.rounds * effort.turns, "not every 0x520 was answered"
+            assert bridge.tally.cycles - before >= effort.rounds * effort.turns, "not every 0x520 was answered"
         finally:
             plain.shutdown()
     return found
@@ -290,7 +291,7 @@ def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]
         "decode": (lambda: _decoded(log, None), frames),
         "values": (lambda: _values(log), frames),
         "check": (lambda: _fsai_vcu("check", log), frames),
-        "stats": (lambda: _fsai_vcu("stats", log), frames),
+        "stats": (lambda: _fsai_vcu("check", "--figures", log), frames),
         # Last those after which the machine goes on writing to the disk for a while.
         "parquet": (lambda: _exported("parquet", log, folder), frames),
         "mcap": (lambda: _exported("mcap", log, folder), frames),

@@ -45,7 +45,7 @@ COLOURS = {
 
 def loop(_: Path) -> None:
     """A 0x520 received, five frames sent: again and again, on the loopback bus."""
-    with answering(Codec(revision(REVISION))) as (turn, _engine):
+    with answering(Codec(revision(REVISION))) as (turn, _bridge):
         for _number in range(CYCLES):
             turn()
 

@@ -57,7 +57,6 @@ PEDALS_NS: Final = 100 * MS
 SEND_LOST_NS: Final = 50 * MS  # so long without one complete cycle counts as bus loss
 STOP_TIMEOUT_NS: Final = 3 * S  # still moving so long after a stop began
 BACKLOG_NS: Final = 20 * MS  # frames of the car that waited so long before they were read are named
-DEADLINE_MISS_NS: Final = 50 * MS  # a deadline missed by so much is a fault of the loop
 
 # Interface specification v4.0
 CAR_PATIENCE_NS: Final = 100 * MS  # without a matching echo for so long, AI_COMMS_LOST

@@ -1,6 +1,6 @@
 """The whole AI computer in virtual time: planner, controller and bridge as one object, for lockstep runs.
 
-It is the same engine, bridge, planner and controller that run on the car; only the clock is an argument, and the
+It is the same loop, bridge, planner and controller that run on the car; only the clock is an argument, and the
 delay between a sensor's instant and the plan's arrival is a number instead of a process.
 
 On the car planner and controller are processes, and the bridge is two: the loop that owns the bus, and its edge to ROS.
@@ -10,8 +10,9 @@ to them here as well, with the effect it has there.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -21,13 +22,12 @@ from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.vehicle.odometry import MotionHistory
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
+from fsai_vcu.runtime.link import Message, ResetConfirmed
+from fsai_vcu.runtime.turns import Action, Do, Send, Turns
 
 CONTROL_PERIOD_NS = 20_000_000  # 50 Hz, as the controller's node
 PERCEPTION_DELAY_NS = 40_000_000  # from the sensor's instant to the planner's input, as measured between the nodes
-REOPEN_FIRST_NS, REOPEN_MOST_NS = 10_000_000, 1_000_000_000  # the loop's pauses before it opens a lost bus again
 RECEIVE_BUFFER_FRAMES = 256  # what a socket keeps for a process that does not read: about 200 kB, some 830 B a frame
 
 
@@ -43,7 +43,7 @@ class OnboardComputer:
         self._codec = codec
         self._out: list[Frame] = []
         self._now_ns = now_ns
-        self._engine = Engine(bridge, codec, self._send, now_ns)
+        self._turns = Turns(bridge, codec, now_ns)
         self._seen: deque[ConeObservation] = deque()
         self._next_control_ns = now_ns
         self._run_ids: dict[str, int] = {}  # of the run that a process has begun
@@ -59,16 +59,15 @@ class OnboardComputer:
         self.edge_running = True
         self._hung_until_ns: int | None = None
         self._edge_hung_until_ns: int | None = None
-        self._unread: deque[Frame] = deque()
-        self._slot: VehicleCommand | None = None  # the newest command that a hanging loop or edge has not read
+        self._unread: list[Frame] = []
+        self._unheard: list[Message] = []  # what a hanging loop or edge has not read
         self._last_report: BridgeReport | None = None  # what was published last before a hang
-        self._bus_up = True
-        self._reopen_ns: int | None = None  # when the loop next tries to open a bus that took nothing
-        self._pause_ns = REOPEN_FIRST_NS
+        self._no_bus_until_ns: float = -math.inf
+        self._broken: str | None = None  # why the bus is gone, as far as the loop has not noticed
         self.confine_failures = False  # an exception ends the process it comes from, not the simulation
         self.failures: list[tuple[int, str, str]] = []  # when, which process, what
 
-    def _send(self, frame: Frame) -> bool:
+    def _takes(self, frame: Frame) -> bool:
         if self.takes_frame is not None and not self.takes_frame(frame):
             return False
         self._out.append(frame)
@@ -76,10 +75,12 @@ class OnboardComputer:
 
     def on_frames(self, frames: Sequence[Frame]) -> None:
         """Frames from the car, oldest first, at the `t_ns` of each."""
+        if self._broken is not None or not (self.bridge_running and self._turns.has_bus):
+            return
         if self._hung_until_ns is not None:
             self._unread += frames[: RECEIVE_BUFFER_FRAMES - len(self._unread)]
-        elif self.bridge_running and self._bus_up:
-            self._confined("bridge", self._engine.on_frames, frames, frames[-1].t_ns)
+        else:
+            self._confined("bridge", self._turns.on_frames, frames, frames[-1].t_ns)
 
     def on_cones(self, observation: ConeObservation) -> None:
         """Cones that a detector reports; the planner gets them after the perception's delay."""
@@ -98,9 +99,11 @@ class OnboardComputer:
             self._control(now_ns)
         if self._edge_hung_until_ns is not None and now_ns >= self._edge_hung_until_ns:
             self._edge_hung_until_ns = None
-            if self._hung_until_ns is None and self.bridge_running:
-                self._read_slot(now_ns)
-        if now_ns >= self._engine.due_ns() or not self._undisturbed:
+            self._tell(now_ns)
+        if self._hung_until_ns is not None and now_ns >= self._hung_until_ns:
+            self._hung_until_ns = None
+            self._confined("bridge", self._wake, now_ns)
+        elif now_ns >= self._turns.due_ns() or not self.edge_running:
             self._confined("bridge", self._turn, now_ns)
         return self._out
 
@@ -109,57 +112,51 @@ class OnboardComputer:
 
     # ------------------------------------------------------------ the bridge's process
 
-    def _turn(self, now_ns: int) -> None:
-        """What the bridge's loop does at this instant."""
-        if self._hung_until_ns is not None:
-            if now_ns >= self._hung_until_ns:
-                self._hung_until_ns = None
-                self._wake(now_ns)
-        elif self.bridge_running:
-            if not self.edge_running:
-                self._after_the_edge(now_ns)
-            if self._reopen_ns is not None and now_ns >= self._reopen_ns:
-                self._reopen_ns = None
-                self.find_bus(now_ns)
-            if self._bus_up:
-                self._poll(now_ns)
-
-    def _poll(self, now_ns: int) -> None:
-        """Send what is due; a bus that takes nothing for too long is given up and opened again, with growing pauses."""
-        engine = self._engine
-        sent = engine.poll(now_ns)
-        unsent_ns = engine.unsent_ns(now_ns)
-        if sent and unsent_ns >= self.bridge.config.send_lost_ns:
-            self.lose_bus(f"no complete cycle sent for {unsent_ns / 1e6:.0f} ms", now_ns)
-            self._reopen_ns = now_ns + self._pause_ns
-            self._pause_ns = min(2 * self._pause_ns, REOPEN_MOST_NS)
-        elif sent and engine.cycles > engine.incomplete_cycles:
-            self._pause_ns = REOPEN_FIRST_NS
-
     def _wake(self, now_ns: int) -> None:
         """The loop goes on after a pause: as late as it is, it reads all that has waited before it speaks."""
-        waiting, self._unread = self._unread, deque()
-        if not (self.bridge_running and self._bus_up):
+        if not self.bridge_running:
             return
-        late_ns = now_ns - self._engine.due_ns()
-        if late_ns >= DEADLINE_MISS_NS:
-            self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
-        self._engine.on_frames(tuple(waiting), now_ns)
-        self._read_slot(now_ns)
-        self._poll(now_ns)
+        self._turns.awake(now_ns)
+        self._notice(now_ns)
+        waiting, self._unread = self._unread, []
+        self._turns.on_frames(waiting, now_ns)
+        self._tell(now_ns)
+        self._turn(now_ns)
 
-    def _read_slot(self, now_ns: int) -> None:
-        if self._slot is not None:
-            self.bridge.on_command(self._slot, now_ns)
-            self._slot = None
+    def _turn(self, now_ns: int) -> None:
+        """What the loop does at this instant."""
+        if self.bridge_running and self._hung_until_ns is None:
+            if not self.edge_running:
+                self._turns.on_edge(None, now_ns)
+            self._do(self._turns.act(now_ns), now_ns)
 
-    def _after_the_edge(self, now_ns: int) -> None:
-        """The edge's process is gone: its commands get old, and when the car does not drive any more the loop ends."""
-        report = self.report()
-        if report.run.as_state is not AsState.AS_DRIVING or report.vcu_lost:
-            self.bridge.begin_stop(now_ns)
-        if self.bridge.stopped:
-            self.bridge_running = False
+    def _do(self, actions: Iterable[Action], now_ns: int) -> None:
+        """Carry out the actions; reports, the log and the watchdog are not simulated."""
+        for action in actions:
+            match action:
+                case Send(frames):
+                    complete, left_ns = all(map(self._takes, frames)), now_ns if frames else None
+                    self._do(self._turns.sent(complete, left_ns, now_ns), now_ns)
+                case Do.OPEN if now_ns < self._no_bus_until_ns:
+                    self._do(self._turns.refused("no such device", now_ns), now_ns)
+                case Do.OPEN:
+                    self._turns.opened(now_ns)
+                    self._turn(now_ns)
+                case Do.END:
+                    self.bridge_running = False
+
+    def _tell(self, now_ns: int, *messages: Message) -> None:
+        """The edge hands messages to the loop, which reads them where neither hangs."""
+        self._unheard += messages
+        if self.bridge_running and self.edge_running and not self._hangs:
+            unheard, self._unheard = self._unheard, []
+            self._turns.on_edge(unheard, now_ns)
+
+    def _notice(self, now_ns: int) -> None:
+        """The loop meets what has become of its bus."""
+        if self._broken is not None and self._turns.has_bus:
+            self._turns.lost(self._broken, now_ns)
+        self._broken = None
 
     def _confined(self, process: str, work: Callable[..., object], *given: object) -> None:
         """Do `work`; what it raises ends its process, as it does on the car, where failures are confined."""
@@ -174,7 +171,7 @@ class OnboardComputer:
 
     def due_ns(self) -> int:
         """When the bridge next has something to send, as things stand."""
-        return self._engine.due_ns()
+        return self._turns.due_ns()
 
     def hang_bridge(self, until_ns: int) -> None:
         """The loop's process is stopped until then; what the bus brings meanwhile waits in its socket."""
@@ -191,11 +188,6 @@ class OnboardComputer:
             self._last_report = self.report()
 
     @property
-    def _undisturbed(self) -> bool:
-        """The loop has nothing else to do than to send what is due."""
-        return self._hung_until_ns is None and self._reopen_ns is None and self.edge_running
-
-    @property
     def _hangs(self) -> bool:
         return self._hung_until_ns is not None or self._edge_hung_until_ns is not None
 
@@ -203,34 +195,30 @@ class OnboardComputer:
         """The loop's process ends without a word."""
         self.bridge_running = False
         self._unread.clear()
-        self._slot = None
+        self._unheard.clear()
 
     def kill_edge(self) -> None:
         """The edge's process ends without a word; the loop is left alone."""
         self.edge_running = False
         self._edge_hung_until_ns = None
-        self._slot = None
+        self._unheard.clear()
 
     def start_bridge(self, bridge: Bridge, now_ns: int) -> None:
         """A new edge begins, and a new loop with it."""
         self.bridge = bridge
-        self._engine = Engine(bridge, self._codec, self._send, now_ns)
+        self._turns = Turns(bridge, self._codec, now_ns)
         self.bridge_running = self.edge_running = True
         self._hung_until_ns = self._edge_hung_until_ns = None
+        self._broken = None if now_ns >= self._no_bus_until_ns else "no such device"
+        self._notice(now_ns)
 
-    def lose_bus(self, why: str, now_ns: int) -> None:
-        """Bus-off, or the interface is down: nothing is received and nothing sent until `find_bus`."""
-        self._bus_up = False
+    def lose_bus(self, why: str, now_ns: int, until_ns: float = math.inf) -> None:
+        """Bus-off, or the interface is down: nothing is received or sent, and until then the bus cannot be opened."""
+        self._no_bus_until_ns = until_ns
+        self._broken = why
         self._unread.clear()
-        if self.bridge_running:
-            self.bridge.bus_lost(why, now_ns)
-
-    def find_bus(self, now_ns: int) -> None:
-        """The loop has opened the interface again."""
-        self._bus_up = True
-        if self.bridge_running:
-            self._engine = Engine(self.bridge, self._codec, self._send, now_ns)
-            self.bridge.bus_back(now_ns)
+        if self.bridge_running and self._hung_until_ns is None:
+            self._notice(now_ns)
 
     # ------------------------------------------------------------ planner and controller
 
@@ -240,14 +228,14 @@ class OnboardComputer:
         setattr(self, f"{process}_running", True)
         self._run_ids.pop(process, None)
 
-    def _begin(self, process: str, run: Run) -> bool:
+    def _begin(self, process: str, run: Run, now_ns: int) -> bool:
         """Whether this run is a new one to a process, which begins it then."""
         if self._run_ids.get(process) == run.run_id:
             return False
         getattr(self, process).reset(run)
         self.plan = None
         self._run_ids[process] = run.run_id
-        self.bridge.on_reset_confirmed(process, run.run_id)
+        self._tell(now_ns, ResetConfirmed(process, run.run_id))
         return True
 
     def _plan(self, observation: ConeObservation, now_ns: int) -> None:
@@ -258,13 +246,13 @@ class OnboardComputer:
         if not (self.bridge_running and self.edge_running):
             return  # without the bridge's state nothing is planned, and there is nobody to take a command
         report = self._last_report if self._hangs and self._last_report is not None else self.report()
-        self._confined("planner", self._inform_planner, report)
+        self._confined("planner", self._inform_planner, report, now_ns)
         self._confined("controller", self._command, report, now_ns)
 
-    def _inform_planner(self, report: BridgeReport) -> None:
+    def _inform_planner(self, report: BridgeReport, now_ns: int) -> None:
         if not self.planner_running:
             return
-        if self._begin("planner", report.run):
+        if self._begin("planner", report.run, now_ns):
             self._history.clear()
         self.planner.on_run(report.run)
         self._history.add(report.motion)
@@ -272,7 +260,7 @@ class OnboardComputer:
     def _command(self, report: BridgeReport, now_ns: int) -> None:
         if not self.controller_running:
             return
-        self._begin("controller", report.run)
+        self._begin("controller", report.run, now_ns)
         speeds, steer = report.vehicle.speeds, report.vehicle.steer
         command = self.controller.command(
             self.plan,
@@ -285,9 +273,5 @@ class OnboardComputer:
         )
         self.commanded = command
         filtered = command if self.command_filter is None else self.command_filter(command, now_ns)
-        if filtered is None:
-            return
-        if self._hangs:
-            self._slot = filtered
-        else:
-            self.bridge.on_command(filtered, now_ns)
+        if filtered is not None:
+            self._tell(now_ns, filtered)

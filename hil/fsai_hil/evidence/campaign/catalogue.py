@@ -23,8 +23,10 @@ from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS
 from fsai_vcu.interface.values import Value
+from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 PATH_MISSIONS: Final = frozenset({Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE})
 ROAD_MISSIONS: Final = PATH_MISSIONS | {Ami.AUTONOMOUS_DEMO}
@@ -769,7 +771,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         ),
     ),
     Fault("loop_late", "the loop misses one deadline by so many ms").by(
-        lambda fault, rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS),
+        # The deadline that is missed is the answer to the car's next 0x520, which is due before the loop's own clock.
+        lambda fault, rig, p, t_ns: rig.computer.hang_bridge(
+            rig.computer.due_ns() - FALLBACK_AFTER_NS + PERIOD_NS + p["late"] * MS
+        ),
         Graded(((50, d.estop(51 + 15, 15)),), "late"),
         Draw("late", (49, 49), (51, 51)),
     ),

@@ -565,15 +565,5 @@ def busy_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
 
 def lost_bus(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
-    rig.computer.lose_bus(p["why"], now_ns)
+    rig.computer.lose_bus(p["why"], now_ns, now_ns + p["gone"] * MS)
     rig.wire.on_bus_lost()
-    back_ms = pause_ms = 10
-    while back_ms < p["gone"]:
-        pause_ms = min(2 * pause_ms, 1000)
-        back_ms += pause_ms
-
-    def tick(t_ns: int) -> None:
-        if t_ns == now_ns + back_ms * MS:
-            rig.computer.find_bus(t_ns)
-
-    fault.ticks.append(tick)

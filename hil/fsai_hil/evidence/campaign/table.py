@@ -109,8 +109,9 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         "## What a lockstep run cannot show",
         "",
         "The wall clock is no part of it: a step of that clock is done to the stamps of commands as far as the nodes'"
-        " conversion lets it through. Processes are objects there, and their hanging, ending and starting is modelled"
-        " on the real loop. The same faults on real processes and a real vcan0 are the HIL suite's.",
+        " conversion lets it through. Processes are objects there: the CAN loop decides as on the car, but its bus, its"
+        " hanging and its ending are simulated. The same faults on real processes and a real vcan0 are the HIL"
+        " suite's.",
         "",
     ]
     return "\n".join(lines)

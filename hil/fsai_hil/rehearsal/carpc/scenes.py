@@ -31,8 +31,8 @@ from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.runtime.lock import holder_pid
-from fsai_vcu.runtime.loop import EDGE_HUNG_NS
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
+from fsai_vcu.runtime.turns import EDGE_HUNG_NS
 
 RESULTS = Path("/results")
 AGAIN = RESULTS / "again"  # there while the machine is to boot once more

@@ -1,4 +1,4 @@
-"""`fsai-vcu stats` and `check`: figures, findings, a verdict, an exit status."""
+"""`fsai-vcu check`: figures, findings, a verdict, an exit status."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def well(tmp_path: Path) -> Path:
     return path
 
 
-def run(verb: str, log: Path, *options: str) -> int:
-    return main([verb, str(log), "--dbc", str(log.with_name("team.dbc")), *options])
+def run(log: Path, *options: str) -> int:
+    return main(["check", str(log), "--dbc", str(log.with_name("team.dbc")), *options])
 
 
 def test_a_bus_without_the_car_is_measured_and_not_called_ok(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("stats", well) == 1
+    assert run(well, "--figures") == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].startswith("verdict: UNKNOWN: no 0x520 was received")
     assert [line.split() for line in lines if line.startswith("123 ")] == [
@@ -39,7 +39,7 @@ def test_a_bus_without_the_car_is_measured_and_not_called_ok(well: Path, capsys:
 def test_what_is_wrong_is_named_with_status_1(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = well.read_text().splitlines(keepends=True)
     well.write_text("".join(lines[:30] + lines[50:]).replace("#001D", "#00"))
-    assert run("check", well) == 1
+    assert run(well) == 1
     said = capsys.readouterr().out.splitlines()
     assert "problem: at 0.290 s: Ours (0x123) must have 2 bytes: 1 of 1 bytes" in said
     assert "problem: at 0.290 s: Ours (0x123) was silent for 210.0 ms: 100 ms count as lost" in said
@@ -48,7 +48,7 @@ def test_what_is_wrong_is_named_with_status_1(well: Path, capsys: pytest.Capture
 
 
 def test_json_is_one_object_a_line_with_the_verdict_last(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("stats", well, "--json") == 1
+    assert run(well, "--figures", "--json") == 1
     entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [entry["type"] for entry in entries] == ["message", "bus", "verdict"]
     assert entries[0]["interval_ms"] == {"p50_ms": 10.0, "p99_ms": 10.0, "max_ms": 10.0}
@@ -57,7 +57,7 @@ def test_json_is_one_object_a_line_with_the_verdict_last(well: Path, capsys: pyt
 
 def test_a_partly_readable_log_fails_even_if_the_rest_is_well(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
     well.write_text(well.read_text() + "garbage\n")
-    assert run("check", well) == 1
+    assert run(well) == 1
     said = capsys.readouterr()
     assert "line 101: not a line of candump: 'garbage'" in said.err
     assert not [line for line in said.out.splitlines() if line.startswith("problem")]
@@ -65,7 +65,18 @@ def test_a_partly_readable_log_fails_even_if_the_rest_is_well(well: Path, capsys
 
 def test_an_empty_log_is_not_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty.log").touch()
-    assert main(["stats", str(tmp_path / "empty.log")]) == 1
+    assert main(["check", str(tmp_path / "empty.log")]) == 1
     said = capsys.readouterr()
     assert said.out == "verdict: NOT OK: no frames\n"
     assert "no frames in it" in said.err
+
+
+def test_verbs_of_an_earlier_release_say_their_new_name(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(well, "--figures") == 1
+    figures = capsys.readouterr().out
+    assert main(["stats", str(well), "--dbc", str(well.with_name("team.dbc"))]) == 1
+    said = capsys.readouterr()
+    assert said.out == figures
+    assert said.err == "fsai-vcu: stats is now called check --figures\n"
+    assert main(["recorder", "--config", "/nowhere/fsai.toml"]) == 1
+    assert capsys.readouterr().err.splitlines()[0] == "fsai-vcu: recorder is now called record --service"

@@ -1,0 +1,251 @@
+"""Vector's text format ASC: a head with the date and the manner of the rows, then a row for each event."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from typing import Final
+
+from fsai_vcu.diagnostics.log.candump_line import MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
+from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.problems import Problems
+from fsai_vcu.diagnostics.log.rows import (
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    OVERLOAD,
+    PASSIVE,
+    PROTOCOL,
+    REQUESTS,
+    WARNING,
+    Rows,
+    bytes_of,
+    error_frame,
+    frame_of,
+    ns_of,
+)
+
+HEAD: Final = re.compile(
+    r"date\s+\S|base\s+(hex|dec)\b|// version\s+\d|begin triggerblock|"
+    r"-?\d+[.,]\d+\s+\d+\s+[0-9a-f]+x?\s+(rx|tx)\s+[dr]\b",
+    re.IGNORECASE,
+)
+"""A line that tells this format."""
+
+_ROW = re.compile(r"(-?\d+(?:[.,]\d+)?)\s+(\S.*)")
+_PLAIN = re.compile(
+    r"\s*(\d{1,10})\.(\d{1,9})\s+(\d{1,3})\s+([0-9A-Fa-f]{1,8})([xX]?)\s+([RT])x\s+d\s+([0-8])((?:\s+[0-9A-Fa-f]{2}){0,8})\s*"
+)
+_MOST_NS: Final = MAX_SECONDS * 1_000_000_000
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,6}))?\s*([ap])?\.?m?\.?\b", re.IGNORECASE)
+# By the first letters in English, German, French, Italian, Spanish, Portuguese; ? is a letter that was garbled.
+_MONTHS: Final = (
+    "jan jän gen ene", "feb fév fev f?v", "mar mär mrz m?r", "apr avr abr", "may mai mag maj",
+    "jun juin giu", "jul juil lug", "aug aoû ago ao?", "sep set", "oct okt ott out", "nov", "dec dez dic déc d?c",
+)  # fmt: skip
+_NO_FRAMES: Final = re.compile(
+    r"log trigger event|log direct|j1939|(li|lin|fr|eth|l\d+|tfs|afdx|most|gps|sv|wlan|tp|sys|msgtext)\b|"
+    r"\S+\s*:=|//|;|\d+\s+(statistic|j1939|bus|//)",
+    re.IGNORECASE,
+)
+_STATES: Final = (
+    ("busoff", BUS_OFF, 0),
+    ("bus off", BUS_OFF, 0),
+    ("passive", CONTROLLER, PASSIVE),
+    ("warn", CONTROLLER, WARNING),
+)
+_WAYS: Final = {"rx": False, "tx": True}
+
+
+class AscRows(Rows):
+    """Reads the rows of one file: times from its date on, or from the row before where the head says so."""
+
+    def __init__(self, told: Problems) -> None:
+        super().__init__(told)
+        self._start_ns = self._now_ns = 0
+        self._base = 16
+        self._relative = self._block_open = False
+        self._channels: dict[str, str] = {}
+
+    def is_whole(self, line: str) -> bool:
+        return super().is_whole(line) or line.strip().lower() == "end triggerblock"
+
+    def missing(self) -> str:
+        return "its last trigger block has no end" if self._block_open else ""
+
+    def __call__(self, line: str) -> LogFrame | None:
+        if self._base == 16 and (plain := _PLAIN.fullmatch(line)):
+            return self._plain(plain)
+        text = line.strip()
+        lower = text.lower()
+        if lower.startswith(("date ", "begin triggerblock")):
+            self._block_open = lower.startswith("begin")
+            self._begin(text[len("begin triggerblock") :] if self._block_open else text.partition(" ")[2])
+        elif lower.startswith("base "):
+            self._base = 10 if lower.split()[1].startswith("dec") else 16
+            self._relative = "relative" in lower
+        elif row := _ROW.match(text):
+            t_ns = ns_of(row[1])
+            self._now_ns = t_ns + (self._now_ns if self._relative else self._start_ns)
+            return self._event(row[2])
+        elif lower.startswith("end triggerblock"):
+            self._block_open = False
+        elif line.startswith((";", "//")) or lower.startswith(("no internal events", "internal events")):
+            return None
+        elif text:
+            raise ValueError("not a row of ASC")
+        return None
+
+    def _plain(self, row: re.Match[str]) -> LogFrame:
+        """A row as most are, quickly."""
+        seconds, fraction, bus, id_text, extended, way, dlc, text = row.groups()
+        t_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
+        self._now_ns = t_ns + (self._now_ns if self._relative else self._start_ns)
+        can_id, length = int(id_text, 16), int(dlc)
+        data = bytes.fromhex(text)[:length]
+        if len(data) < length or can_id > (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID) or self._now_ns > _MOST_NS:
+            return frame_of(self._now_ns, _channel(bus), id_text, data, length, extended=bool(extended))
+        channel = self._channels.get(bus) or self._channels.setdefault(bus, _channel(bus))
+        return LogFrame(self._now_ns, channel, can_id, data, bool(extended), sent=way == "T", length=length)
+
+    def _begin(self, date: str) -> None:
+        if not date.strip():
+            return
+        begin_ns = date_ns(date)
+        if begin_ns is None:
+            self.told.note(f"the date in the head cannot be read, and times count from 0: '{date.strip()[:60]}'")
+        elif self._relative:
+            self._now_ns = max(self._now_ns, begin_ns)
+        else:
+            self._start_ns = self._now_ns = begin_ns
+
+    def _event(self, text: str) -> LogFrame | None:
+        words = text.split()
+        lower = text.lower()
+        if words[0] == "CANFD" and len(words) > 3:
+            channel = _channel(words[1])
+            return self._error(channel) if words[3] == "ErrorFrame" else self._fd(channel, words)
+        if words[0] == "CAN" and len(words) > 2 and "status" in lower:
+            return self._state(_channel(words[1]), lower)
+        if words[0].isdigit() and len(words) > 1:
+            channel = _channel(words[0])
+            if words[1].lower().startswith("errorframe"):
+                return self._error(channel)
+            if words[1].lower().startswith("overloadframe"):
+                return error_frame(self._now_ns, channel, PROTOCOL, protocol=OVERLOAD)
+            if "status:" in lower:
+                return self._state(channel, lower)
+            if len(words) > 3 and words[2].lower() in ("rx", "tx", "txrq", "txerr"):
+                return self._classic(channel, words)
+        if lower.startswith("start of measurement"):
+            return None
+        if _NO_FRAMES.match(text):
+            self.told.note(f"a row of {' '.join(words[:2]) if words[0].isdigit() else words[0]}, which is no frame")
+            return None
+        raise ValueError("not a row of ASC")
+
+    def _classic(self, channel: str, words: list[str]) -> LogFrame | None:
+        way, kind = words[2].lower(), words[3].lower()
+        id_text, extended = _identifier(words[1])
+        remote = kind == "r"
+        if kind not in ("d", "r"):
+            raise ValueError("not a row of ASC")
+        try:
+            dlc = int(words[4], 16) if len(words) > 4 else 0
+        except ValueError:
+            if not remote:
+                raise ValueError(f"no length: {words[4][:40]}") from None
+            dlc = 0
+        length = min(dlc, 8) if dlc < 16 else dlc
+        if not _WAYS.keys().isdisjoint(word.lower() for word in words[5:]):
+            raise ValueError("two rows in one line")
+        data = b"" if remote else bytes_of(words[5 : 5 + length], self._base)
+        frame = frame_of(
+            self._now_ns, channel, id_text, data, length,
+            base=self._base, extended=extended, remote=remote, sent=_WAYS.get(way),
+        )  # fmt: skip
+        return self._on_the_bus(frame, way)
+
+    def _fd(self, channel: str, words: list[str]) -> LogFrame | None:
+        """CANFD channel way id [name] BRS ESI DLC length data… duration bits flags …"""
+        way = words[2].lower()
+        at = 4 if len(words) > 4 and words[4] in ("0", "1") else 5
+        try:
+            brs, esi, length = words[at] == "1", words[at + 1] == "1", int(words[at + 3])
+        except (IndexError, ValueError):
+            raise ValueError("not a row of ASC") from None
+        data = bytes_of(words[at + 4 : at + 4 + length], self._base)
+        behind = words[at + 4 + length :]
+        try:
+            flags = int(behind[2], 16)
+        except (IndexError, ValueError):
+            flags = 0x1000
+        remote = bool(flags & 0x10)
+        id_text, extended = _identifier(words[3])
+        frame = frame_of(
+            self._now_ns, channel, id_text, data, length if not remote else min(int(words[at + 2], 16), 8),
+            base=self._base, extended=extended, remote=remote, fd=bool(flags & 0x1000), brs=brs, esi=esi,
+            sent=_WAYS.get(way),
+        )  # fmt: skip
+        return self._on_the_bus(frame, way)
+
+    def _on_the_bus(self, frame: LogFrame, way: str) -> LogFrame | None:
+        """The frame, unless it was only to be sent; one that nobody took is an error of the bus."""
+        if way == "txrq":
+            self.told.note(REQUESTS)
+            return None
+        return self._error(frame.channel) if way == "txerr" else frame
+
+    def _error(self, channel: str) -> LogFrame:
+        return error_frame(self._now_ns, channel, BUS_ERROR)
+
+    def _state(self, channel: str, lower: str) -> LogFrame | None:
+        for word, kinds, controller in _STATES:
+            if word in lower:
+                return error_frame(self._now_ns, channel, kinds, controller=controller)
+        self.told.note("a row of a controller's status that is no error")
+        return None
+
+
+def _channel(text: str) -> str:
+    if not text.isdigit() or len(text) > 5:
+        raise ValueError(f"no channel: {text[:40]}")
+    return f"can{max(int(text), 1) - 1}"
+
+
+def _identifier(text: str) -> tuple[str, bool]:
+    extended = text[-1:] in ("x", "X")
+    return (text[:-1] if extended else text), extended
+
+
+def date_ns(text: str) -> int | None:
+    """Local date and time of a head: month by name or number, time in 12 or 24 hours. None if it cannot be read."""
+    clock = _CLOCK.search(text)
+    if clock is None:
+        return None
+    rest = text[: clock.start()] + " " + text[clock.end() :]
+    numbers = re.findall(r"(?<![\w?])\d+", rest)
+    years = [int(each) for each in numbers if len(each) == 4]
+    days = [int(each) for each in numbers if len(each) <= 2]
+    names = re.findall(r"[^\W\d_][\w�]*|[^\W\d_]*�[\w�]*", rest)
+    month = next((n for name in names for n, known in enumerate(_MONTHS, 1) if _called(name, known)), None)
+    if month is None and len(days) > 1:  # 23.11.2024, and what Vector's tools write in other languages: 11 23
+        month, days = (days[1], days[:1]) if "." in rest or days[0] > 12 else (days[0], days[1:])
+    if month is None or not years or not days:
+        return None
+    hour, half = int(clock[1]), (clock[5] or "").lower()
+    if half == "p" and hour < 12:
+        hour += 12
+    elif half == "a" and hour == 12:
+        hour = 0
+    micros = int((clock[4] or "0").ljust(6, "0"))
+    try:
+        seconds = datetime(years[-1], month, days[0], hour, int(clock[2]), int(clock[3])).timestamp()
+    except (ValueError, OverflowError):
+        return None
+    return max(0, int(seconds)) * 1_000_000_000 + micros * 1000
+
+
+def _called(name: str, known: str) -> bool:
+    spelt = name.lower().replace("�", "?")
+    return any(spelt.startswith(each) for each in known.split())

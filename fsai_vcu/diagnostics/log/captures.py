@@ -1,0 +1,131 @@
+"""Captures of Wireshark and tcpdump, pcap and pcapng, of an interface of SocketCAN."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import IO, Final
+
+from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
+from fsai_vcu.diagnostics.log.rows import frame_of
+
+PCAP: Final = {  # byte order, and the unit of the fraction of a second
+    b"\xd4\xc3\xb2\xa1": ("<", 1000),
+    b"\xa1\xb2\xc3\xd4": (">", 1000),
+    b"\x4d\x3c\xb2\xa1": ("<", 1),
+    b"\xa1\xb2\x3c\x4d": (">", 1),
+}
+PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
+_SOCKETCAN: Final = 227  # link type, tcpdump.org/linktypes.html
+_PACKET_BYTES: Final = 256 << 10
+_SECTION, _INTERFACE, _SIMPLE, _PACKET = 0x0A0D0D0A, 1, 3, 6  # blocks of pcapng
+_RESOLUTION: Final = 9  # option of an interface
+_NAME: Final = 2
+_INTERFACES: Final = 256
+
+
+def read_capture(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFrame]:
+    """All CAN frames of a capture. Raises ReadingEnds where it ends before its end."""
+    magic = stream.read(4)
+    packets = _pcapng(stream, told) if magic == PCAPNG else _pcap(stream, *PCAP[magic])
+    for number, (link, channel, t_ns, packet, length) in enumerate(packets, 1):
+        if link != _SOCKETCAN:
+            told.note(
+                f"a packet of link type {link}, which is no frame of a CAN interface (capture on can0, not on any)"
+            )
+            continue
+        try:
+            if len(packet) < length:
+                raise ValueError("it was cut by the capture")
+            yield _frame(t_ns, channel, packet)
+        except (ValueError, struct.error) as error:
+            words = "it is too short" if isinstance(error, struct.error) else error
+            told.add(f"{name}: packet {number} is left out: {words}")
+
+
+def _frame(t_ns: int, channel: str, packet: bytes) -> LogFrame:
+    number, length, marks = struct.unpack_from(">LBB", packet)
+    data = packet[8 : 8 + length]
+    fd = bool(marks & 4) or len(packet) == 72
+    if number & 0x2000_0000:
+        return LogFrame(t_ns, channel, number & 0x1FFF_FFFF, data[:8], error=True)
+    extended, remote = bool(number >> 31), bool(number >> 30 & 1)
+    can_id = number & (0x1FFF_FFFF if extended else 0x7FF)
+    brs, esi = fd and bool(marks & 1), fd and bool(marks & 2)
+    return frame_of(
+        t_ns, channel, f"{can_id:X}", data, length, extended=extended, remote=remote, fd=fd, brs=brs, esi=esi
+    )
+
+
+_Packets = Iterator[tuple[int, str, int, bytes, int]]  # link type, channel, time, content, its whole length
+
+
+def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
+    head = stream.read(20)
+    if len(head) < 20:
+        raise ReadingEnds("cut off in its head")
+    link = struct.unpack(f"{order}L", head[16:])[0] & 0xFFFF
+    while each := stream.read(16):
+        if len(each) < 16:
+            raise ReadingEnds("cut off")
+        seconds, fraction, length, whole = struct.unpack(f"{order}LLLL", each)
+        if length > _PACKET_BYTES or length > whole:
+            raise ReadingEnds(f"a packet of length {length}")
+        packet = stream.read(length)
+        if len(packet) < length:
+            raise ReadingEnds("cut off")
+        yield link, "can0", seconds * 1_000_000_000 + fraction * unit_ns, packet, whole
+
+
+def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
+    order, kind = "<", _SECTION
+    interfaces: list[tuple[int, str, int]] = []  # link type, channel, units a second
+    first = True
+    while True:
+        head = (PCAPNG if first else stream.read(4)) + (stream.read(4))
+        first = False
+        if not head:
+            return
+        if len(head) < 8:
+            raise ReadingEnds("cut off")
+        kind, size = struct.unpack(f"{order}LL", head)
+        begin = b""
+        if kind == _SECTION:
+            begin = stream.read(4)
+            order = "<" if begin == b"\x4d\x3c\x2b\x1a" else ">"
+            size = struct.unpack(f"{order}L", head[4:])[0]
+            interfaces = []
+        if size < 12 + len(begin) or size > _PACKET_BYTES:
+            raise ReadingEnds(f"a block of length {size}")
+        body = begin + stream.read(size - 8 - len(begin))
+        if len(body) < size - 8:
+            raise ReadingEnds("cut off")
+        if kind == _INTERFACE and len(interfaces) < _INTERFACES and size >= 20:
+            interfaces.append(_interface(order, body[:-4], len(interfaces)))
+        elif kind == _PACKET and size >= 32:
+            number, high, low, length, whole = struct.unpack_from(f"{order}LLLLL", body)
+            if number >= len(interfaces) or length > len(body) - 24:
+                raise ReadingEnds("a packet that is none")
+            link, channel, units = interfaces[number]
+            yield link, channel, (high << 32 | low) * 1_000_000_000 // units, body[20 : 20 + length], whole
+        elif kind == _SIMPLE:
+            raise ReadingEnds("packets without times")
+        elif kind not in (_SECTION, _INTERFACE):
+            told.note(f"a block of type {kind}, which is no packet")
+
+
+def _interface(order: str, body: bytes, number: int) -> tuple[int, str, int]:
+    link = struct.unpack_from(f"{order}H", body)[0]
+    channel, units, at = f"can{number}", 1_000_000, 8
+    while at + 4 <= len(body):
+        option, length = struct.unpack_from(f"{order}HH", body, at)
+        value = body[at + 4 : at + 4 + length]
+        if option == 0:
+            break
+        if option == _RESOLUTION and value:
+            units = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** (min(value[0], 12))
+        elif option == _NAME and value:
+            channel = value[:15].decode("ascii", "replace").rstrip("\0") or channel
+        at += 4 + length + -length % 4
+    return link, channel, units

@@ -1,0 +1,140 @@
+"""Rows of text formats: what the readers of all of them have in common.
+
+A reader is made for each file and called with each line. It returns the frame on it, None where the line is none, and
+raises ValueError where it cannot be read.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from fsai_vcu.diagnostics.log.candump_line import (
+    MAX_CLASSIC_DLC,
+    MAX_EXTENDED_ID,
+    MAX_FD_BYTES,
+    MAX_SECONDS,
+    MAX_STANDARD_ID,
+)
+from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.problems import Problems
+
+FD_BYTES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Data bytes of each DLC."""
+REQUESTS: Final = "a request to send, which is no frame on the bus"
+
+# SocketCAN's error classes and details (linux/can/error.h).
+CONTROLLER: Final = 0x04
+PROTOCOL: Final = 0x08
+BUS_OFF: Final = 0x40
+BUS_ERROR: Final = 0x80
+WARNING: Final = 0x0C  # of `controller`: both counters
+PASSIVE: Final = 0x30
+SINGLE_BIT: Final = 0x01  # of `protocol`
+FORM: Final = 0x02
+STUFFING: Final = 0x04
+OVERLOAD: Final = 0x20
+
+_TIME = re.compile(r"(-?)(\d{1,18})(?:[.,](\d{1,12}))?")
+_TWO_DIGITS = re.compile(r"(?:[0-9A-Fa-f]{2}(?: |$))*")
+_NUMBERS = re.compile(r"(?:[0-9A-Fa-f]{1,3}(?: |$))*")
+
+
+class Rows:
+    """Reads the rows of one file; `told` gets what is said beside the frames."""
+
+    def __init__(self, told: Problems) -> None:
+        self.told = told
+
+    def __call__(self, line: str) -> LogFrame | None:
+        """The frame on a line, None where there is none to be. Raises ValueError."""
+        raise NotImplementedError
+
+    def is_whole(self, line: str) -> bool:
+        """Whether a line without its end is whole: as many data bytes as it announces, the last one of two digits.
+
+        That they are as many is checked when it is read.
+        """
+        return re.search(r"\s[0-9A-Fa-f]{2}\s*$", line) is not None
+
+    def missing(self) -> str:
+        """At the end of the file: what it announced and does not have, as the end of a sentence; '' where nothing."""
+        return ""
+
+
+def ns_of(text: str, unit_ns: int = 1_000_000_000) -> int:
+    """A decimal number of units in ns, with a point or a comma. Raises ValueError."""
+    found = _TIME.fullmatch(text)
+    if found is None:
+        raise ValueError(f"no time: {text[:40]}")
+    fraction = found[3] or ""
+    ns = int(found[2] + fraction) * unit_ns // int(10 ** len(fraction))
+    return -ns if found[1] else ns
+
+
+def frame_of(
+    t_ns: int,
+    channel: str,
+    id_text: str,
+    data: bytes,
+    length: int | None = None,
+    *,
+    base: int = 16,
+    extended: bool = False,
+    remote: bool = False,
+    fd: bool = False,
+    brs: bool = False,
+    esi: bool = False,
+    sent: bool | None = None,
+) -> LogFrame:
+    """A frame of a row, checked. length: data bytes that are announced. Raises ValueError."""
+    if not 0 <= t_ns <= MAX_SECONDS * 1_000_000_000:
+        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+    try:
+        can_id = int(id_text, base)
+    except ValueError:
+        raise ValueError(f"no identifier: {id_text[:40]}") from None
+    if not 0 <= can_id <= (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID):
+        raise ValueError(f"no {29 if extended else 11}-bit identifier: {id_text[:40]}")
+    announced = len(data) if length is None else length
+    if not 0 <= announced <= (MAX_FD_BYTES if fd else MAX_CLASSIC_DLC):
+        raise ValueError(f"{announced} data bytes")
+    if not remote and len(data) != announced:
+        raise ValueError(f"{len(data)} data bytes where {announced} are announced")
+    data = b"" if remote else data
+    return LogFrame(t_ns, channel, can_id, data, extended, remote, False, fd, brs, esi, sent, announced)
+
+
+def bytes_of(words: list[str], base: int = 16) -> bytes:
+    """Data bytes of a row, one a word. Raises ValueError."""
+    text = " ".join(words)
+    if base == 16 and _TWO_DIGITS.fullmatch(text):
+        return bytes.fromhex(text)
+    try:
+        if not _NUMBERS.fullmatch(text):
+            raise ValueError
+        return bytes(int(word, base) for word in words)
+    except ValueError:
+        raise ValueError(f"no data bytes: {text[:40]}") from None
+
+
+def error_frame(
+    t_ns: int, channel: str, kinds: int, *, controller: int = 0, protocol: int = 0, sent: int = 0, received: int = 0
+) -> LogFrame:
+    """What a log says of an ill bus, as an error frame of SocketCAN. sent, received: the error counters."""
+    if not 0 <= t_ns <= MAX_SECONDS * 1_000_000_000:
+        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+    data = bytes((0, controller, protocol, 0, 0, 0, min(sent, 255), min(received, 255)))
+    return LogFrame(t_ns, channel, kinds, data, error=True)
+
+
+def state_frame(t_ns: int, channel: str, sent: int, received: int) -> LogFrame:
+    """An error frame by a controller's error counters; 256 of the first is bus-off."""
+    most = max(sent, received)
+    if sent > 255:
+        return error_frame(t_ns, channel, BUS_OFF, sent=sent, received=received)
+    if most < 96:
+        return error_frame(t_ns, channel, BUS_ERROR, sent=sent, received=received)
+    # Of both pairs of bits the lower one is of receiving.
+    bits = (PASSIVE if most > 127 else WARNING) & (0x28 if sent == most else 0x14)
+    return error_frame(t_ns, channel, CONTROLLER, controller=bits, sent=sent, received=received)
