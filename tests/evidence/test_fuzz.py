@@ -17,7 +17,7 @@ from fsai_vcu.interface.units import MS
 def short_form() -> command.Done:
     """In a process of its own: Hypothesis also draws constants that it finds in the modules loaded around it."""
     with get_context("spawn").Pool(1) as fresh:
-        return fresh.apply(command.batch, (2026,), {"examples": 120})
+        return fresh.apply(command.batch, (2026,), {"examples": 160})
 
 
 def test_no_rule_is_broken_on_the_wire() -> None:
