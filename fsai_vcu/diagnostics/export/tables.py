@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, REMOTE, Frames, Ints
 
 Kind = Literal["int64", "uint64", "float64", "object"]
-Values = np.ma.MaskedArray[Any, np.dtype[Any]]
+Values: TypeAlias = "np.ma.MaskedArray[Any, np.dtype[Any]]"  # numpy 1.21 cannot evaluate it
 """The values of a column, one for each row; masked where a row has none."""
 
 _INT64: Final = 1 << 63
@@ -84,8 +84,8 @@ def values_in(decoded: MessageTable, column: Column) -> Values:
     """One value for each row of `decoded`."""
     series = decoded.series[column.name]
     if len(series.rows) == len(decoded.rows):
-        return Values(series.values.astype(column.kind, copy=False))
-    values = Values(np.zeros(len(decoded.rows), column.kind), mask=True)
+        return np.ma.MaskedArray(series.values.astype(column.kind, copy=False))
+    values = np.ma.MaskedArray(np.zeros(len(decoded.rows), column.kind), mask=True)
     values[np.searchsorted(decoded.rows, series.rows)] = series.values
     return values
 

@@ -88,4 +88,4 @@ def _values(source: Rows, instants: Ints) -> Iterator[Values]:
 
 
 def _held(numbers: npt.NDArray[Any], at: Ints) -> Values:
-    return Values(numbers, mask=at < 0 if at.min(initial=0) < 0 else np.ma.nomask)
+    return np.ma.MaskedArray(numbers, mask=at < 0 if at.min(initial=0) < 0 else np.ma.nomask)
