@@ -76,7 +76,7 @@ class Sight:
 
 
 class Evidence:
-    """How far what is seen bears out the courses of a run, and whether the car is lost.
+    """Judges how far the cones seen bear out the courses of a run, and whether the car is lost.
 
     A car that is lost brakes to rest on the last way that was not in doubt, and stays there until the cones around it
     show the way again.
@@ -131,7 +131,7 @@ class Evidence:
         return (1.0, "") if share >= 1.0 else (max(0.0, share), f"the car is {aside_m:.1f} m beside its path")
 
     def _clear(self, motion: Motion) -> bool:
-        """Whether a lost car stands, and has seen the way again for some time."""
+        """True once a lost car stands and has seen the way for a second."""
         if motion.speed_mps > AT_REST_MPS or self._sure < FLOOR_AGAIN:
             self._clear_ns = None
         elif self._clear_ns is None:
@@ -157,7 +157,7 @@ class Evidence:
 
 
 class Fit:
-    """How well the cones around the car bear out a course of known shape: confidence, 0…1."""
+    """Compares the cones around the car with a course of known shape: confidence, 0…1."""
 
     def __init__(self) -> None:
         self._confidence = 1.0

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 SURE = 0.5  # confidence with which the lane found is believed in the next look
-KNOWN_M = 0.5  # from a cone that surely stands, a cone seen is that one
+KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that cone
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
 KNOWN_NONE, KNOWN_SPAN = (0.55, 0.3), 0.25  # … that leaves no confidence without and with colours; to full confidence
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish

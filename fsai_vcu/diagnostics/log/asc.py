@@ -18,6 +18,7 @@ from fsai_vcu.diagnostics.log.rows import (
     PROTOCOL,
     REQUESTS,
     WARNING,
+    WAYS,
     Rows,
     bytes_of,
     error_frame,
@@ -54,7 +55,6 @@ _STATES: Final = (
     ("passive", CONTROLLER, PASSIVE),
     ("warn", CONTROLLER, WARNING),
 )
-_WAYS: Final = {"rx": False, "tx": True}
 
 
 class AscRows(Rows):
@@ -157,12 +157,12 @@ class AscRows(Rows):
                 raise ValueError(f"no length: {words[4][:40]}") from None
             dlc = 0
         length = min(dlc, 8) if dlc < 16 else dlc
-        if not _WAYS.keys().isdisjoint(word.lower() for word in words[5:]):
+        if not WAYS.keys().isdisjoint(word.lower() for word in words[5:]):
             raise ValueError("two rows in one line")
         data = b"" if remote else bytes_of(words[5 : 5 + length], self._base)
         frame = frame_of(
             self._now_ns, channel, id_text, data, length,
-            base=self._base, extended=extended, remote=remote, sent=_WAYS.get(way),
+            base=self._base, extended=extended, remote=remote, sent=WAYS.get(way),
         )  # fmt: skip
         return self._on_the_bus(frame, way)
 
@@ -185,7 +185,7 @@ class AscRows(Rows):
         frame = frame_of(
             self._now_ns, channel, id_text, data, length if not remote else min(int(words[at + 2], 16), 8),
             base=self._base, extended=extended, remote=remote, fd=bool(flags & 0x1000), brs=brs, esi=esi,
-            sent=_WAYS.get(way),
+            sent=WAYS.get(way),
         )  # fmt: skip
         return self._on_the_bus(frame, way)
 

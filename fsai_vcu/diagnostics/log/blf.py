@@ -256,7 +256,7 @@ _READ: Final = {
 
 
 def _bad(kind: int, t_ns: int, content: bytes, at: int) -> LogFrame:
-    """What an object says of an ill bus."""
+    """Error frame of an object that reports a bus error."""
     if kind in (_DRIVER, _DRIVER_2):
         number, sent, received, _ = _DRIVER_ERROR.unpack_from(content, at)
         return state_frame(t_ns, _channel(number), sent, received)
@@ -279,7 +279,7 @@ def _channel(number: int) -> str:
 
 
 def _unpacked(content: bytes) -> bytes:
-    """What a container holds. Raises ReadingEnds."""
+    """The unpacked content of a container. Raises ReadingEnds."""
     if len(content) < _CONTAINER.size:
         raise ReadingEnds("a container without a head")
     packing, size = _CONTAINER.unpack_from(content)

@@ -118,7 +118,7 @@ def format_of(head: bytes) -> Format | None:
 
 
 def foreign_words(head: bytes) -> str:
-    """What a file is that is no log which can be read, and the way, as the end of a sentence; '' where not known."""
+    """Kind of a file that is no readable log, and the way to convert it: the end of a sentence; '' if not known."""
     if head[_TAR_AT : _TAR_AT + 5] == b"ustar":
         return "a tar archive: unpack it first (tar -xf)"
     return next((words for begin, words in _FOREIGN if head.startswith(begin)), "")

@@ -8,7 +8,7 @@ from typing import Final
 from fsai_vcu.diagnostics.log.candump_line import MAX_CLASSIC_DLC, MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
-from fsai_vcu.diagnostics.log.rows import Rows
+from fsai_vcu.diagnostics.log.rows import WAYS, Rows
 
 HEAD: Final = re.compile("time stamp,id,", re.IGNORECASE)
 """A line that tells this format."""
@@ -50,5 +50,5 @@ class GvretRows(Rows):
             raise ValueError(f"{len(data)} data bytes where {length} are announced")
         if not 0 <= can_id <= (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID):
             raise ValueError(f"no {29 if extended else 11}-bit identifier: {named['id']}")
-        sent = {"tx": True, "rx": False}.get(named.get("dir", "").lower())
+        sent = WAYS.get(named.get("dir", "").lower())
         return LogFrame(t_us * 1000, f"{_BUS}{named.get('bus', '0')}", can_id, data, extended, sent=sent)

@@ -1,4 +1,4 @@
-"""What a log says beside its frames: what could not be read of it, what was lost, and rows that are no frames."""
+"""Problems of a log beside its frames: unreadable rows, lost frames, and rows that are no frames."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _KINDS: Final = 100  # of rows that are no frames
 
 
 class Problems:
-    """What could not be read in a log. `texts` are whole lines for people, each with its place; all are counted.
+    """Collects what could not be read in a log. `texts` are whole lines for people, each with its place.
 
-    `lost`: frames that the recording machine says it lost. `notes`: how many rows of each kind are no frames and
-    were left out; no frame is missing because of them.
+    All are counted. `lost`: frames that the recording machine says it lost. `notes`: how many rows of each kind are no
+    frames and were left out; no frame is missing because of them.
     """
 
     def __init__(self) -> None:

@@ -35,6 +35,9 @@ FORM: Final = 0x02
 STUFFING: Final = 0x04
 OVERLOAD: Final = 0x20
 
+WAYS: Final = {"rx": False, "tx": True}
+"""Direction of a row: `sent` of its frame."""
+
 _TIME = re.compile(r"(-?)(\d{1,18})(?:[.,](\d{1,12}))?")
 _TWO_DIGITS = re.compile(r"(?:[0-9A-Fa-f]{2}(?: |$))*")
 _NUMBERS = re.compile(r"(?:[0-9A-Fa-f]{1,3}(?: |$))*")
@@ -51,7 +54,7 @@ class Rows:
         raise NotImplementedError
 
     def is_whole(self, line: str) -> bool:
-        """Whether a line without its end is whole: as many data bytes as it announces, the last one of two digits.
+        """True if a line without its end is whole: as many data bytes as it announces, the last one of two digits.
 
         That they are as many is checked when it is read.
         """
@@ -121,7 +124,7 @@ def bytes_of(words: list[str], base: int = 16) -> bytes:
 def error_frame(
     t_ns: int, channel: str, kinds: int, *, controller: int = 0, protocol: int = 0, sent: int = 0, received: int = 0
 ) -> LogFrame:
-    """What a log says of an ill bus, as an error frame of SocketCAN. sent, received: the error counters."""
+    """Error frame of SocketCAN for a bus error that a log reports. sent, received: the error counters."""
     if not 0 <= t_ns <= MAX_SECONDS * 1_000_000_000:
         raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
     data = bytes((0, controller, protocol, 0, 0, 0, min(sent, 255), min(received, 255)))

@@ -67,17 +67,29 @@ _PACKED: Final[tuple[tuple[bytes, Callable[[], _Unpacker]], ...]] = (
 _ZIP: Final = b"PK\x03\x04"
 
 
-class _Unpacked(io.RawIOBase):
-    """What a packed file holds; OSError where that is more than a packed log can be, or where it is cut off."""
+class _Bounded(io.RawIOBase):
+    """A stream of unpacked bytes, no more of them than a packed log can be."""
+
+    _in = _out = 0  # bytes packed and unpacked
+
+    def readable(self) -> bool:
+        return True
+
+    def _handed_over(self, data: bytes, buffer: Any) -> int:
+        self._out += len(data)
+        if self._out > UNPACKED_BYTES and self._out > UNPACKED_TIMES * self._in:
+            raise OSError(TOO_MUCH_PACKED)
+        buffer[: len(data)] = data
+        return len(data)
+
+
+class _Unpacked(_Bounded):
+    """Content of a packed file; OSError where that is more than a packed log can be, or where it is cut off."""
 
     def __init__(self, packed: IO[bytes], magic: bytes, new: Callable[[], _Unpacker]) -> None:
         self._packed, self._magic, self._new = packed, magic, new
         self._unpacker = new()
-        self._in = self._out = 0
         self._waiting = False  # for more input
-
-    def readable(self) -> bool:
-        return True
 
     def readinto(self, buffer: Any) -> int:
         most = len(buffer)
@@ -90,11 +102,7 @@ class _Unpacked(io.RawIOBase):
                 return 0
             if data:
                 break
-        self._out += len(data)
-        if self._out > UNPACKED_BYTES and self._out > UNPACKED_TIMES * self._in:
-            raise OSError(TOO_MUCH_PACKED)
-        buffer[: len(data)] = data
-        return len(data)
+        return self._handed_over(data, buffer)
 
     def _more(self, most: int) -> bytes | None:
         """Some more; nothing where there may be more behind; None at the end."""
@@ -134,7 +142,7 @@ class _Unpacked(io.RawIOBase):
         super().close()
 
 
-class _Member(io.RawIOBase):
+class _Member(_Bounded):
     """The one file in a zip archive."""
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -147,21 +155,14 @@ class _Member(io.RawIOBase):
             self._member = archive.open(members[0])
         except (zipfile.BadZipFile, RuntimeError, NotImplementedError, ValueError) as error:
             raise OSError(f"a zip archive that cannot be unpacked: {error}") from None
-        self._file, self._out = file, 0
-
-    def readable(self) -> bool:
-        return True
+        self._file = file
 
     def readinto(self, buffer: Any) -> int:
         try:
             data = self._member.read(len(buffer))
         except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError) as error:
             raise OSError(f"it cannot be unpacked: {error or 'it is cut off'}") from None
-        self._out += len(data)
-        if self._out > UNPACKED_BYTES and self._out > UNPACKED_TIMES * self._in:
-            raise OSError(TOO_MUCH_PACKED)
-        buffer[: len(data)] = data
-        return len(data)
+        return self._handed_over(data, buffer)
 
     def close(self) -> None:
         self._file.close()

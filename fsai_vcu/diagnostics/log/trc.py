@@ -18,6 +18,7 @@ from fsai_vcu.diagnostics.log.rows import (
     SINGLE_BIT,
     STUFFING,
     WARNING,
+    WAYS,
     Rows,
     bytes_of,
     error_frame,
@@ -33,7 +34,6 @@ _OLDEST, _NEWEST = (1, 0), (2, 1)
 _DAYS_TO_1970: Final = 25569  # from 1899-12-30
 _DAY_NS: Final = 86_400_000_000_000
 _COLUMNS: Final = {(2, 0): "NOTIdlD", (2, 1): "NOTBIdRLD"}
-_WAYS: Final = {"rx": False, "tx": True}
 _FD: Final = {"FD": (False, False), "FB": (True, False), "FE": (False, True), "BI": (True, True)}  # BRS, ESI
 _STATES: Final = (
     (0x10, BUS_OFF, 0),
@@ -103,9 +103,9 @@ class TrcRows(Rows):
             return self._bad(t_ns, channel, kind, rest)
         if self._version >= (1, 3) and len(rest) > 1 and rest[1] == "-":
             del rest[1]
-        if len(rest) < 2 or (kind and kind.lower() not in _WAYS):
+        if len(rest) < 2 or (kind and kind.lower() not in WAYS):
             raise ValueError("not a row of TRC")
-        return self._data(t_ns, channel, rest[0], _WAYS.get(kind.lower()), _number(rest[1]), rest[2:])
+        return self._data(t_ns, channel, rest[0], WAYS.get(kind.lower()), _number(rest[1]), rest[2:])
 
     def _bad(self, t_ns: int, channel: str, kind: str, rest: list[str]) -> LogFrame | None:
         """A row of a status (an identifier of FFFFFFFF, four bytes) or of an error (its kind for an identifier)."""
@@ -139,7 +139,7 @@ class TrcRows(Rows):
                 raise ValueError(f"no DLC: {number}")
             length = FD_BYTES[number]
         fd, (brs, esi) = kind in _FD, _FD.get(kind, (False, False))
-        sent = _WAYS.get(named.get("d", "").lower())
+        sent = WAYS.get(named.get("d", "").lower())
         data = words[columns.index("D") :]
         return self._data(t_ns, channel, named.get("I", ""), sent, length, data, kind == "RR", fd, brs, esi)
 
