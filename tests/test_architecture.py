@@ -24,6 +24,7 @@ LEAN = "fsai_vcu.lean_can"
 LEAN_CANTOOLS = "fsai_vcu.lean_cantools"
 FILES = "fsai_vcu.files"
 PRINTABLE = "fsai_vcu.printable"
+ARGUMENTS = "fsai_vcu.arguments"
 ARROWS: dict[str, set[str]] = {
     "fsai_vcu": set(),
     LEAN: set(),
@@ -62,7 +63,16 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report", "serving")}
     | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.stack": {"fsai_vcu.core", f"{DIAGNOSTICS}.finding", PRINTABLE},
-    "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE, DIAGNOSTICS},
+    "fsai_vcu.cli": {
+        ARGUMENTS,
+        "fsai_vcu.core",
+        "fsai_vcu.interface",
+        "fsai_vcu.runtime",
+        FILES,
+        PRINTABLE,
+        DIAGNOSTICS,
+    },
+    ARGUMENTS: {"fsai_vcu.interface"},
     "fsai_nodes": {
         "fsai_vcu.core",
         "fsai_vcu.interface",
@@ -87,6 +97,7 @@ ARROWS: dict[str, set[str]] = {
     "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.log", f"{DIAGNOSTICS}.statistics"},
     "fsai_hil.simulator": {
         "fsai_hil.rules",
+        ARGUMENTS,
         "fsai_vcu.core",
         "fsai_vcu.interface",
         "fsai_vcu.runtime",

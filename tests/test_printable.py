@@ -65,7 +65,7 @@ def test_a_stream_shows_lines_and_its_own_colours_alone(terminal: bool, monkeypa
         ["plot", "bus.log", "-o", "p.svg", "S1", *DBC],
         ["dbc", "list", "nasty.dbc"],
         ["dbc", "show", "nasty.dbc", "511"],
-        ["export", "bus.log", "--to", "csv", "-o", "out", *DBC],
+        ["export", "bus.log", "--format", "csv", "-o", "out", *DBC],
         ["report", "bus.log", "-o", "r.html", *DBC],
         ["send", "--dry-run", "--dbc", "nasty.dbc", "M1"],
         ["check", NASTY],
@@ -92,8 +92,8 @@ def test_no_verb_sends_a_name_to_the_terminal(
 
 
 def test_no_cell_of_a_table_begins_a_formula(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", "bus.log", "--to", "csv", "-o", "out", "--words", "--dbc", "sheet.dbc"]) == 0
-    assert main(["export", "bus.log", "--to", "csv", "-o", "wide.csv", "--wide", "--dbc", "sheet.dbc"]) == 0
+    assert main(["export", "bus.log", "--format", "csv", "-o", "out", "--words", "--dbc", "sheet.dbc"]) == 0
+    assert main(["export", "bus.log", "--format", "csv", "-o", "wide.csv", "--wide", "--dbc", "sheet.dbc"]) == 0
     cells = set()
     for path in (*(folder / "out").iterdir(), folder / "wide.csv"):
         with path.open(newline="") as file:

@@ -9,7 +9,7 @@ from collections.abc import Collection
 from contextlib import suppress
 from typing import Any
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import check_numbers
 from fsai_vcu.cli.services import operator_node
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.stack import TOPICS, Ends, StackWatch

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, judged
 from fsai_vcu.diagnostics.explain.record import Record
@@ -26,12 +27,14 @@ nothing differs, 1 something does, or something could not be read, 2 wrong use.
 problems are told."""
 SHARE: Final = 0.1
 TOLD: Final = ("missing", "period")
+Difference = tuple[str, dict[str, Any]]  # in words, and what --json prints of it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs=2, metavar="LOG", help="any log that decode reads")
     add_part_arguments(parser, signals=True)
     add_database_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object per difference")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,18 +54,24 @@ def run(args: argparse.Namespace) -> int:
             status = 1
         found.append(one)
     first, second = (one.record for one in found)
-    lines = [*([] if patterns else _messages(*(one.bus for one in found))), *_signals(first, second, patterns or ["*"])]
+    differences = [] if patterns else list(_messages(*(one.bus for one in found)))
+    differences += _signals(first, second, patterns or ["*"])
     if first.revision.name != second.revision.name:
-        lines.append(f"interface revision: {first.revision.name}, then {second.revision.name}")
+        revisions = {"first": first.revision.name, "second": second.revision.name}
+        differences.append(("interface revision: {first}, then {second}".format(**revisions), {"revision": revisions}))
     if not (patterns or args.messages):  # some messages alone have no story
         for name, here, there in zip(args.logs, found, reversed(found), strict=True):
-            lines += [f"only in {name}: {line}" for line in _problems(here.verdict, there.verdict)]
-    print("\n".join(lines) if lines else "nothing differs")
-    return 1 if lines else status
+            for line in _problems(here.verdict, there.verdict):
+                differences.append((f"only in {name}: {line}", {"problem": line, "only_in": name}))
+    if args.json:
+        print("".join(f"{json.dumps({**facts, 'words': words})}\n" for words, facts in differences), end="")
+    else:
+        print("\n".join(words for words, _ in differences) if differences else "nothing differs")
+    return 1 if differences else status
 
 
 def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
-    """What is unknown or a problem in a log and not in the other, without what the lines on messages tell."""
+    """Sentences on what is unknown or a problem in a log and not in the other, but for what `_messages` tells."""
     yield from (f"unknown: {why}" for why in here.unknown if why not in there.unknown)
 
     def kind_of(finding: Finding) -> tuple[object, ...]:
@@ -75,20 +84,22 @@ def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
             yield f"{here.moment(finding)}{finding.words}"
 
 
-def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:
+def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[Difference]:
     ours, theirs = ({(m.extended, m.can_id): m for m in bus.messages} for bus in (first, second))
     for key in sorted({*ours, *theirs}):
         before, after = ours.get(key), theirs.get(key)
         there = before or after
         assert there is not None
         name = f"0x{there.can_id:03X} {there.name or 'unknown'}"
+        periods = {"first": before and before.mean_ms, "second": after and after.mean_ms}
+        facts = {"message": there.name, "id": there.can_id, "mean_ms": periods}
         if before is None or after is None:
-            yield f"{name}: {'only in the second log' if before is None else 'missing in the second log'}"
+            yield f"{name}: {'only in the second log' if before is None else 'missing in the second log'}", facts
         elif before.mean_ms and after.mean_ms and abs(after.mean_ms / before.mean_ms - 1.0) > SHARE:
-            yield f"{name}: every {before.mean_ms:.1f} ms, then every {after.mean_ms:.1f} ms"
+            yield f"{name}: every {before.mean_ms:.1f} ms, then every {after.mean_ms:.1f} ms", facts
 
 
-def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[str]:
+def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[Difference]:
     for layout in first.decoder.databases.layouts.values():
         for signal in layout.signals_like(patterns):
             before, after = (record.series(Signal(layout.name, signal.name)) for record in (first, second))
@@ -98,4 +109,7 @@ def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[str
             width = max(ranges[0][2], ranges[1][2]) - min(ranges[0][0], ranges[1][0])
             if any(abs(new - old) > SHARE * width for old, new in zip(*ranges, strict=True)):
                 words = ", then ".join(f"{low:g} to {high:g} (mean {mean:.4g})" for low, mean, high in ranges)
-                yield f"{layout.name}.{signal.name}: {words} {signal.unit}".rstrip()
+                facts: dict[str, Any] = {"signal": f"{layout.name}.{signal.name}", "unit": signal.unit}
+                for log, (low, mean, high) in zip(("first", "second"), ranges, strict=True):
+                    facts[log] = {"min": low, "mean": mean, "max": high}
+                yield f"{layout.name}.{signal.name}: {words} {signal.unit}".rstrip(), facts

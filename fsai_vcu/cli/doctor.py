@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from fsai_vcu.arguments import add_bus_argument
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.diagnostics.doctor.checks import examine
 from fsai_vcu.diagnostics.doctor.collect import collect, laptop
@@ -43,7 +44,7 @@ _PATIENCE_S = 60.0  # for a wheel to be turned
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--config", type=Path, metavar="FILE", help="the car PC's configuration (default: /etc/fsai/fsai.toml)")
-    add("-i", "--interface", help="the bus to listen to (default: the configuration's)")
+    add_bus_argument(parser, "the bus to listen to (default: the configuration's)")
     add("--seconds", type=float, default=2.0, metavar="S", help="how long to listen to the bus (2 s)")
     add("--wheels", action="store_true", help="commissioning: asks for one wheel after the other to be turned by hand")
     add("--json", action="store_true", help="print one JSON object")

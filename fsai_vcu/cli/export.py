@@ -20,10 +20,11 @@ from fsai_vcu.diagnostics.export.writing import check_format, export
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
-    "fsai-vcu export run.log.gz --to parquet -o run-tables\n"
-    "  fsai-vcu export run.log --to csv --wide --raster 20ms -o run.csv"
+    "fsai-vcu export run.log.gz --format parquet -o run-tables\n"
+    "  fsai-vcu export run.log --format csv --wide --raster 20ms -o run.csv"
 )
 _DEFAULT_RASTER = "10ms"
+_FORMATS = ("csv", "parquet", "mcap", "mf4")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
         "other, as the segments of a recording",
     )
-    add("--to", required=True, choices=("csv", "parquet", "mcap", "mf4"), help="the format")
+    add("--format", choices=_FORMATS, help="what to make")
     add(
         "-o",
         "--output",
@@ -47,20 +48,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message")
     add("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
     add("--words", action="store_true", help="csv, parquet: words where the database has them, not numbers")
-    add_part_arguments(parser, end="--until", signals=True)  # --to is the format
+    add_part_arguments(parser, signals=True)
+    add("--until", help=argparse.SUPPRESS)
     add_database_arguments(parser)
 
 
+def _take_old_names(args: argparse.Namespace) -> None:
+    """--to named the format and --until the end in an earlier release; both work for one release more."""
+    for old, new, meant in (("to", "format", args.end in _FORMATS), ("until", "to", args.until is not None)):
+        if meant:
+            print(f"fsai-vcu export: --{old} is now called --{new}", file=sys.stderr)
+    if args.format is None and args.end in _FORMATS:
+        args.format, args.end = args.end, None
+    args.end = args.end if args.until is None else args.until
+
+
 def run(args: argparse.Namespace) -> int:
+    _take_old_names(args)
+    if args.format is None:
+        raise WrongUse(f"--format is missing: {', '.join(_FORMATS)}")
     if args.raster is not None and not args.wide:
         raise WrongUse("--raster goes with --wide")
-    if args.words and args.to not in ("csv", "parquet"):
-        raise WrongUse(f"--words does not go with {args.to}: it has numbers, and the words beside them")
+    if args.words and args.format not in ("csv", "parquet"):
+        raise WrongUse(f"--words does not go with {args.format}: it has numbers, and the words beside them")
     try:
         step_ns = raster_ns(args.raster or _DEFAULT_RASTER) if args.wide else None
     except ValueError as error:
         raise WrongUse(str(error)) from error
-    check_format(args.to)
+    check_format(args.format)
     decoding = Decoding("export", args)
     decoding.show_signals(args.signals)
     sources = Sources("export", args.logs, decoding, part_of(args, decoding))
@@ -75,7 +90,13 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"nothing to export: the databases name none of the {len(frames)} frames")
     try:
         written = export(
-            frames, decoding.decoder, args.to, args.output, step_ns=step_ns, words=args.words, progress=progress.writing
+            frames,
+            decoding.decoder,
+            args.format,
+            args.output,
+            step_ns=step_ns,
+            words=args.words,
+            progress=progress.writing,
         )
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error

@@ -16,6 +16,7 @@ from typing import NoReturn, TextIO, cast
 
 from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
+from fsai_vcu.interface.errors import did_you_mean
 from fsai_vcu.printable import PrintableStream, printable
 
 Verbs = dict[str, tuple[str, str, str]]
@@ -166,11 +167,8 @@ def _run(arguments: list[str]) -> int:
         arguments = [*now, *arguments[1:]]
     verb = arguments[0]
     if verb not in OWN_VERBS and verb not in all_verbs():
-        from difflib import get_close_matches
-
-        close = get_close_matches(verb, all_verbs(), n=2)
-        there = f"did you mean {' or '.join(close)}?" if close else f"there are: {', '.join(all_verbs())}"
-        print(f"fsai-vcu: no verb '{verb}'; {there}", file=sys.stderr)
+        meant = did_you_mean(verb, all_verbs()) or f"; there are: {', '.join(all_verbs())}"
+        print(f"fsai-vcu: no verb '{printable(verb)}'{meant}", file=sys.stderr)
         return 2
     module = module_of(verb)
     parser = parser_of(verb)

@@ -15,7 +15,7 @@ from functools import cache
 from itertools import chain, islice
 from pathlib import Path
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import check_numbers
 from fsai_vcu.cli.sources import (
     Decoding,
     Sources,
@@ -95,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
             source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
             status = _show(source, every_s, patterns, args, drawn=drawn)
         return status | sources.status
+    sources.tell_the_end(at, part)
     first = list(islice(chunks, 1))  # with it the log's first moment is known
     begin_ns = sources.first_ns or 0
     start_ns = (at if args.at is not None or still else part).bounds(begin_ns)[0]

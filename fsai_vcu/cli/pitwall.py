@@ -12,7 +12,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import check_numbers
 from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import (
     Decoding,
@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--namespace goes with --ros")
     databases = Decoding("pitwall", args).databases if args.dbc else None
     view = View(", ".join(Path(name).name for name in sources.names), args.revision, databases)
+    sources.tell_the_end(part)
     chunks = sources.chunks(args.seconds, waits=True)
     try:
         server = Server(args.host, args.port)

@@ -42,9 +42,10 @@ def run(args: argparse.Namespace) -> int:
     if not signals:
         raise WrongUse("no signal is named; fsai-vcu dbc show lists them")
     decoding = Decoding("plot", args)
+    decoding.patterns(",".join(signals))
     sources = Sources("plot", logs, part=part_of(args, decoding))
     if sources.live:
-        raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
+        raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record {sources.name} makes one)")
     if args.output.suffix == ".html":
         page = vars(args) | {"sources": logs, "signals": ",".join(signals), "seconds": None}
         return report.run(argparse.Namespace(**page))
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     record = Record(frames, args.revision, decoding.databases if args.dbc else None)
     groups = record.matching(signals)
     if not groups:
-        raise UserError(f"no signal {' or '.join(signals)} in {sources.name}; fsai-vcu dbc show lists them")
+        raise UserError(f"no signal {' or '.join(signals)} in {sources.name}")
     record.begin_ns = sources.first_ns or record.begin_ns
     _save(args.output, record, groups, sources.name)
     print(f"saved {args.output}: {', '.join(name for group in groups.values() for name, _ in group)}")

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import add_bus_argument, check_numbers
 from fsai_vcu.cli.ending import ending
 from fsai_vcu.cli.main import main
 from fsai_vcu.cli.services import nodes_module, ros_errors
@@ -30,8 +30,8 @@ from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_confi
 from fsai_vcu.runtime.limits_file import limits_in, read_limits_text
 
 EXAMPLE = (
-    "fsai-vcu record -i can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
-    "  fsai-vcu record -i vcan0 -o run.log --seconds 60\n"
+    "fsai-vcu record can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
+    "  fsai-vcu record vcan0 -o run.log --seconds 60\n"
     "  fsai-vcu record --service --config /etc/fsai/fsai.toml"
 )
 _LOOK_S: Final = 0.1
@@ -47,7 +47,7 @@ _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
+    add_bus_argument(parser)
     add(
         "-o",
         "--output",
@@ -81,9 +81,9 @@ def run(args: argparse.Namespace) -> int:
         return _as_configured(args.config or USUAL_PATH, args.interface)
     if args.config is not None:
         raise WrongUse("--config goes with --service")
-    for option, value in (("-i", args.interface), ("-o", args.output)):
+    for missing, value in (("the bus", args.interface), ("-o", args.output)):
         if value is None:
-            raise WrongUse(f"{option} is missing: which bus is recorded (-i), and where (-o)?")
+            raise WrongUse(f"{missing} is missing: fsai-vcu record can0 -o run.log")
     check_numbers(args, seconds=0.0)
     if args.ros and not args.mcap:
         raise WrongUse("--ros goes with --mcap: a candump log has no place for ROS messages")
@@ -127,7 +127,6 @@ def _as_configured(path: Path, interface: str | None) -> int:
 def record_arguments(configuration: Configuration, interface: str) -> list[str]:
     """The configuration's [recording] as arguments."""
     return [
-        "-i",
         interface,
         "-o",
         configuration.text("recording", "folder"),

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import check_numbers
 from fsai_vcu.cli.sources import (
     LOG_HELP,
     Decoding,
@@ -26,15 +26,20 @@ from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.bus import BusLost, open_bus
 
-EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
+EXAMPLE = "fsai-vcu replay run.log vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
 _LATE_NS: Final = 10_000_000  # a cycle of the bus
 _PAUSE_NS: Final = 60 * S
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("logs", nargs="+", metavar="LOG[,FILTER…]", help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j")
-    add("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
+    add(
+        "logs",
+        nargs="+",
+        metavar="LOG[,FILTER…]",
+        help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j; the last argument is the bus to send on",
+    )
+    add("-i", "--interface", metavar="BUS", help="where to, instead of the last argument: vcan0, loopback:NAME …")
     add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
     add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
     add_part_arguments(parser)  # no signals: a frame is sent whole
@@ -54,6 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     check_numbers(args, loop=0, rate=0.01)
+    if args.interface is None:
+        args.interface = args.logs.pop()
+        if not args.logs or not Sources("replay", [args.interface]).live:
+            raise WrongUse("the last argument is the bus to send on: fsai-vcu replay run.log vcan0")
     sources = Sources("replay", args.logs, part=part_of(args, Decoding("replay", args)))
     if sources.live:
         raise WrongUse(f"{sources.name} is an interface; replay reads logs")

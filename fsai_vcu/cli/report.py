@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     check_seconds(args)
     decoding = Decoding("report", args)
+    decoding.patterns(args.signals)
     sources = Sources("report", args.sources)
     sources.check_output(args.output)
     found = judged(args, sources, decoding)
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     chosen = found.record.matching((args.signals or "").split(","))
     if args.signals is not None and not chosen:
-        raise UserError(f"no signal {args.signals} in {sources.name}; fsai-vcu dbc show lists them")
+        raise UserError(f"no signal {args.signals} in {sources.name}")
     text = page_of(found, Path(sources.name).name, chosen)
     try:
         _write(args.output, text)

@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import ExitStack
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import BUS_HELP, check_numbers
 from fsai_vcu.cli.sources import add_database_arguments
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.transmit.sending import Outgoing, outgoing
@@ -19,7 +19,7 @@ from fsai_vcu.runtime.bus import BusLost, CanBus, open_bus
 from fsai_vcu.runtime.lock import InterfaceLock
 
 EXAMPLE = (
-    "fsai-vcu send BenchLamp COLOUR=RED -i can0 --dbc bench.dbc --count 10 --period 100\n"
+    "fsai-vcu send can0 BenchLamp COLOUR=RED --dbc bench.dbc --count 10 --period 100\n"
     "  fsai-vcu send AI2VCU_Steer STEER_REQUEST=5 --as-ai --dry-run"
 )
 ABOUT = """\
@@ -38,9 +38,10 @@ _PERIOD_MS = 100.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
+    add("bus", nargs="?", metavar="BUS", help=f"{BUS_HELP}; --dry-run needs none")
     add("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
     add("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
-    add("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
+    add("-i", "--interface", metavar="BUS", help="the bus, as an option")
     add_database_arguments(parser, "2026")
     add("--count", type=int, default=1, metavar="N", help="so many times (default: 1; 0: until Ctrl-C)")
     add("--period", type=float, metavar="MS", help="so far apart (default: the database's, or 100 ms)")
@@ -53,12 +54,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     check_numbers(args, count=0, period=1.0, listen=_LEAST_LISTEN_S)
     databases = load_databases(args.dbc, args.revision)
+    if args.bus is not None:
+        known = any(layout.is_called(args.bus) for layout in databases.layouts.values())
+        if args.interface is not None or known or "=" in args.message:  # the first word is the message
+            args.message, args.signals = args.bus, [args.message, *args.signals]
+        else:
+            args.interface = args.bus
     frame = outgoing(databases, args.message, args.signals, as_ai=args.as_ai)
     if args.dry_run:
         _show(args, frame)
         return 0
     if args.interface is None:
-        raise WrongUse("-i says on which CAN interface; --dry-run sends nothing")
+        raise WrongUse(f"the bus is missing: fsai-vcu send can0 {args.message} …; --dry-run sends nothing")
     return _send(args, frame)
 
 

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from typing import Any
 
-from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.arguments import check_numbers
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.printable import LINE, printable
 from fsai_vcu.runtime.configuration import usual_environment

@@ -28,7 +28,7 @@ from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
 from fsai_vcu.diagnostics.recorder.segments import lost_while_recorded, lost_words
 from fsai_vcu.files import open_named
-from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.printable import printable
@@ -56,17 +56,16 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
     )
 
 
-def add_part_arguments(
-    parser: argparse.ArgumentParser, end: str = "--to", *, messages: bool = True, signals: bool = False
-) -> None:
+def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True, signals: bool = False) -> None:
     """Which part of a log: times, messages, and `signals` for a verb that shows them."""
     parser.add_argument(
         "--from",
         dest="begin",
         metavar="TIME",
-        help="from so many seconds after the log's first frame on, or from a time of day (UTC, 14:03:30)",
+        help="from so many seconds or minutes (1:30) after the log's first frame on, or from a time of day (UTC, "
+        "14:03:30; 14:03 where the log has it)",
     )
-    parser.add_argument(end, dest="end", metavar="TIME", help="up to that time")
+    parser.add_argument("--to", dest="end", metavar="TIME", help="up to that time")
     if messages:
         parser.add_argument(
             "--messages",
@@ -100,6 +99,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
     progress.end()
     if not len(frames):
         return None
+    part.ends_at(int(frames.t_ns.max()))
     rate = getattr(args, "bitrate", None)
     try:
         found = judged_frames(
@@ -124,7 +124,8 @@ def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
         for name in filter(None, args.messages.split(",")):
             found = {layout.can_id for layout in layouts if layout.is_called(name)}
             if not found and not re.fullmatch("0x[0-9a-f]+", name, re.IGNORECASE):
-                raise UserError(f"no message {name}; fsai-vcu dbc list names them")
+                meant = did_you_mean(name, (layout.name for layout in layouts))
+                raise UserError(f"no message {name}{meant or '; fsai-vcu dbc list names them'}")
             chosen |= found or {int(name, 16)}
         ids = frozenset(chosen)
     try:
@@ -201,7 +202,9 @@ class Decoding:
         layouts = [layout for databases in self.possible() for layout in databases.layouts.values()] if patterns else []
         for pattern in patterns:
             if not any(layout.signals_like([pattern]) for layout in layouts):
-                raise UserError(f"no signal {pattern}; fsai-vcu dbc show lists them")
+                known = (signal.name for layout in layouts for signal in layout.signals)
+                meant = did_you_mean(pattern.rpartition(".")[2], known)
+                raise UserError(f"no signal {pattern}{meant or '; fsai-vcu dbc show lists them'}")
         return patterns
 
     def show_signals(self, names: str | None) -> None:
@@ -271,6 +274,8 @@ class Sources:
         self.first_ns: int | None = None  # of the whole log, whatever the part
         self._lost: Callable[[], int] = lambda: 0  # frames for which this machine had no room
         self.heard_ns: Callable[[], int] = time.monotonic_ns  # live: the last of `chunks` holds everything until then
+        if part is not None:
+            self.tell_the_end(part)
 
     def chunks(
         self, seconds: float | None = None, *, announced: bool = False, waits: bool = False
@@ -311,6 +316,13 @@ class Sources:
             self._say(f"nothing was received on {self.name}")
             self.status = 1
         return joined(parts)
+
+    def tell_the_end(self, *parts: Part) -> None:
+        """Tell those parts that must know it when the logs end. They are read for it."""
+        asking = [part for part in parts if part.needs_the_end] if self.files else []
+        ends_ns = [_last_stamp(name) for name, _ in self._rules] if asking else []
+        for part in asking:
+            part.ends_at(max(ends_ns))
 
     def check_output(self, path: Path) -> None:
         """Raises WrongUse where a log would be written over with what is made of it."""
@@ -456,6 +468,18 @@ def _first_stamp(path: Path) -> tuple[int, str]:
             return next((frame.t_ns for frame in log.frames()), 1 << 63), path.name
     except LogError:
         return 1 << 63, path.name
+
+
+def _last_stamp(name: str) -> int:
+    """When a log ends; 0 where nothing of it can be read, which is reported when it is opened again."""
+    last_ns = 0
+    try:
+        with open_log(name) as log:
+            for frames in log.chunks():
+                last_ns = int(frames.t_ns[-1]) if len(frames) else last_ns
+    except LogError:
+        pass
+    return last_ns
 
 
 def _unfolded(name: str) -> list[str]:

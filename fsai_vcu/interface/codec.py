@@ -195,8 +195,8 @@ class _Layout:
         ]
         self._unpack, self._pack = _by_position(message, [slot.signal for slot in self.slots])
         readers = (slot.read_if_said if message.is_multiplexed() else slot.read for slot in self.slots)
-        self._readers = [(at, self.slots[at].place, read) for at, read in enumerate(readers)]
-        self._writers = [(at, slot.write) for at, slot in enumerate(self.slots)]
+        self._readers = [(slot.place, read) for slot, read in zip(self.slots, readers, strict=True)]
+        self._writers = [slot.write for slot in self.slots]
         self._has_float = any(slot.signal.is_float for slot in self.slots)
         self._read: dict[bytes, _Said] = {}
         self._written: dict[tuple[Any, ...], bytes] = {}
@@ -213,9 +213,9 @@ class _Layout:
         except Exception as error:  # decode never raises, whatever a strange database makes cantools do
             return None, (f"{self.message}: cannot be decoded: {error}",), None
         values, problems = self._defaults.copy(), list[str]()
-        for at, place, read in self._readers:
+        for (place, read), raw in zip(self._readers, raws, strict=True):
             try:
-                values[place] = read(raws[at])
+                values[place] = read(raw)
             except Odd as odd:
                 values[place] = odd.value
                 problems += [odd.problem] if odd.problem else []
@@ -232,7 +232,7 @@ class _Layout:
         try:
             data = self._written.get(values)
             if data is None:
-                data = self._pack(*[write(values[at]) for at, write in self._writers])[::-1]
+                data = self._pack(*[write(value) for write, value in zip(self._writers, values, strict=True)])[::-1]
                 if not self._has_float:  # equal values have equal bits, but for the two zeros of a float
                     _remember(self._written, values, data)
         except EncodeError:

@@ -31,7 +31,7 @@ def columns(path: Path) -> list[list[str]]:
 
 def test_tables_are_written_and_counted(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = log.with_name("tables")
-    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 0
+    assert main(["export", str(log), "--format", "csv", "-o", str(out)]) == 0
     assert capsys.readouterr().err == f"1 table, 3 rows of 3 frames in {out}\n"
     assert columns(out / "VCU2AI_Steer.csv")[1] == ["1.000000", "10.0", "10.0", "10.0"]
 
@@ -43,14 +43,25 @@ def test_filters_leave_frames_out_and_other_databases_are_used(log: Path, tmp_pa
     out = tmp_path / "tables"
     own = Path(__file__).parents[2] / "dbc" / "ads_dv_2026.dbc"
     databases = ["--dbc", str(other), "--dbc", str(own)]
-    assert main(["export", f"{log},523:7FF", "--to", "csv", "-o", str(out), *databases]) == 0
+    assert main(["export", f"{log},523:7FF", "--format", "csv", "-o", str(out), *databases]) == 0
     assert [path.name for path in out.iterdir()] == ["Ours.csv"]
+
+
+def test_the_former_names_of_format_and_end_work_and_say_the_new(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_text(GOOD + GOOD.replace("1.0", "3.0", 1))
+    out = log.with_name("former")
+    assert main(["export", str(log), "--to", "csv", "--until", "1", "-o", str(out)]) == 0
+    assert capsys.readouterr().err.splitlines()[:2] == [
+        "fsai-vcu export: --to is now called --format",
+        "fsai-vcu export: --until is now called --to",
+    ]
+    assert len(columns(out / "VCU2AI_Steer.csv")) == 2
 
 
 def test_a_broken_log_is_exported_up_to_the_break_and_fails(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log.write_bytes(b"".join([GOOD.encode(), b"\xff\x00\xfe\n" * 7, GOOD.encode(), GOOD[:-3].encode()]))
     out = log.with_name("tables")
-    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 1
+    assert main(["export", str(log), "--format", "csv", "-o", str(out)]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == f"fsai-vcu export: {log}: line 2: not text: '\\xff\\x00\\xfe'"
     assert lines[-1] == f"1 table, 2 rows of 2 frames in {out}"
@@ -61,7 +72,7 @@ def test_segments_of_a_recording_are_one_log(log: Path) -> None:
     second = log.with_name("second.log")
     second.write_text("(2.000000) can1 523#000000000000\n(3.000000) can0 523#C80064006400\n")
     out = log.with_name("wide.csv")
-    argv = ["export", str(log), str(second), "--to", "csv", "-o", str(out), "--wide", "--raster", "1s"]
+    argv = ["export", str(log), str(second), "--format", "csv", "-o", str(out), "--wide", "--raster", "1s"]
     assert main(argv) == 0
     rows = columns(out)
     assert rows[0][1] == "can0.VCU2AI_Steer.ANGLE [deg]"
@@ -70,10 +81,10 @@ def test_segments_of_a_recording_are_one_log(log: Path) -> None:
 
 def test_what_is_there_is_not_mixed_with_what_is_new(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = log.with_name("tables")
-    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 0
-    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 1
+    assert main(["export", str(log), "--format", "csv", "-o", str(out)]) == 0
+    assert main(["export", str(log), "--format", "csv", "-o", str(out)]) == 1
     assert "is a folder with something in it already; name a new folder" in capsys.readouterr().err
-    assert main(["export", str(log), "--to", "mcap", "-o", str(out)]) == 1
+    assert main(["export", str(log), "--format", "mcap", "-o", str(out)]) == 1
     assert capsys.readouterr().err.endswith("is a folder; name a file\n")
 
 
@@ -85,7 +96,7 @@ def test_a_file_that_cannot_be_finished_leaves_nothing_behind(log: Path) -> None
     log.write_text(GOOD * 20_000)
     out = log.with_name("wide.csv")
     out.write_text("what was there before")
-    argv = ["-m", "fsai_vcu.cli.main", "export", str(log), "--to", "csv", "--wide", "-o", str(out)]
+    argv = ["-m", "fsai_vcu.cli.main", "export", str(log), "--format", "csv", "--wide", "-o", str(out)]
     for extra, form in ((["--raster", "100us"], "csv"), ([], "mcap")):
         log.write_text("".join(f"({1 + n / 1000:.6f}) can0 523#{n & 0xFF:02X}0064006400\n" for n in range(3000)))
         command = [sys.executable, *[form if word == "csv" else word for word in argv], *extra]
@@ -99,7 +110,7 @@ def test_a_file_that_cannot_be_finished_leaves_nothing_behind(log: Path) -> None
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     out = tmp_path / "tables"
     process = subprocess.Popen(
-        [sys.executable, "-m", "fsai_vcu.cli.main", "export", "-", "--to", "csv", "-o", str(out)],
+        [sys.executable, "-m", "fsai_vcu.cli.main", "export", "-", "--format", "csv", "-o", str(out)],
         stdin=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -119,7 +130,7 @@ def test_a_missing_extra_is_the_line_that_installs_it(
     form: str, package: str, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    assert main(["export", str(log), "--to", form, "-o", str(log.with_name("out"))]) == 1
+    assert main(["export", str(log), "--format", form, "-o", str(log.with_name("out"))]) == 1
     assert capsys.readouterr().err == (f"fsai-vcu export: {form} needs {package}: pip install 'fsai-vcu[{form}]'\n")
     assert not log.with_name("out").exists()
 
@@ -127,13 +138,13 @@ def test_a_missing_extra_is_the_line_that_installs_it(
 def test_a_pipe_or_a_device_is_not_replaced(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pipe = log.with_name("pipe")
     os.mkfifo(pipe)
-    assert main(["export", str(log), "--to", "csv", "--wide", "-o", str(pipe)]) == 1
+    assert main(["export", str(log), "--format", "csv", "--wide", "-o", str(pipe)]) == 1
     assert f"{pipe} is a device or a pipe" in capsys.readouterr().err
     assert pipe.is_fifo()
 
 
 def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(log), "--to", "mcap", "--words", "-o", str(log.with_name("out"))]) == 2
+    assert main(["export", str(log), "--format", "mcap", "--words", "-o", str(log.with_name("out"))]) == 2
     assert "--words does not go with mcap" in capsys.readouterr().err
 
 
@@ -141,7 +152,7 @@ def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pyte
 def test_only_the_signals_asked_for_are_exported(log: Path, kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
     out = log.with_name(f"tables.{kind}")
-    assert main(["export", str(log), "--to", kind, "-o", str(out), "--signals", "ANGLE"]) == 0
+    assert main(["export", str(log), "--format", kind, "-o", str(out), "--signals", "ANGLE"]) == 0
     assert capsys.readouterr().err.startswith("1 table, 1 rows of 1 frames")
     if kind == "csv":
         assert [cell.split()[0] for cell in columns(out / "VCU2AI_Steer.csv")[0]] == ["time", "ANGLE"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,22 @@ def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.Captu
     ]
 
 
+def test_each_difference_is_an_object_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = log(tmp_path / "b.log", period_ms=20, angle=80)
+    assert main(["compare", str(log(tmp_path / "a.log")), str(other), "--json"]) == 1
+    period, angle = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (period["message"], period["id"], period["mean_ms"]) == (
+        "VCU2AI_Steer",
+        0x523,
+        {"first": pytest.approx(10.0), "second": pytest.approx(20.0)},
+    )
+    assert (angle["signal"], angle["unit"], angle["second"]) == (
+        "VCU2AI_Steer.ANGLE",
+        "deg",
+        {"min": 8.0, "mean": 8.0, "max": 8.0},
+    )
+
+
 def test_problems_of_one_log_alone_are_check_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = log(tmp_path / "a.log"), log(tmp_path / "b.log")
     lines = second.read_text().splitlines()
@@ -106,3 +123,5 @@ def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: p
         assert shown.out.splitlines() == lines if lines else "no frame of" in shown.err
     assert main([*argv, "--signals", "NO_SUCH"]) == 1
     assert "no signal NO_SUCH" in capsys.readouterr().err
+    assert main([*argv, "--signals", "ANGEL"]) == 1
+    assert "no signal ANGEL; did you mean ANGLE" in capsys.readouterr().err

@@ -62,7 +62,7 @@ def test_the_ais_own_frames_are_sent_where_that_is_asked_for(log: str, bus: CanB
 
 
 def test_a_part_filtered_and_looped(log: str, bus: CanBus) -> None:
-    argv = ["replay", f"{log},520:7FF", "-i", BUS, "--from", "0", "--to", "0.002", "--loop", "3", "--rate", "10"]
+    argv = ["replay", f"{log},520:7FF", BUS, "--from", "0", "--to", "0.002", "--loop", "3", "--rate", "10"]
     assert main(argv) == 0
     assert received(bus, 3) == ["520#0000030000000000"] * 3
 

@@ -67,7 +67,7 @@ def test_a_log_is_checked_for_its_revision_before_it_is_split(
 
 def test_figures_and_tables_are_those_of_the_revision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = written(tmp_path / "run.log", STATUS, OF_2021)
-    assert main(["export", log, "--to", "csv", "-o", str(tmp_path / "tables")]) == 0
+    assert main(["export", log, "--format", "csv", "-o", str(tmp_path / "tables")]) == 0
     assert "OP_STATE" not in (tmp_path / "tables" / "VCU2AI_Status.csv").read_text()
     assert SAID in capsys.readouterr().err
     assert main(["check", log, "--json"]) == 1

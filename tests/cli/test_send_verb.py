@@ -130,9 +130,9 @@ def test_json_says_what_the_wire_carries_and_what_was_not_named(bench: str, caps
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (["BenchLmap"], "no message 'BenchLmap'; is it BenchLamp"),
+        (["BenchLmap"], "no message 'BenchLmap'; did you mean BenchLamp"),
         (["0x7AB"], "no message has the identifier 0x7AB"),
-        (["BenchLamp", "COLOR=1"], "BenchLamp has no signal 'COLOR'; is it COLOUR?"),
+        (["BenchLamp", "COLOR=1"], "BenchLamp has no signal 'COLOR'; did you mean COLOUR?"),
         (["BenchLamp", "COLOUR"], "'COLOUR' is not SIGNAL=VALUE"),
         (["BenchLamp", "COLOUR="], "'COLOUR=' is not SIGNAL=VALUE"),
         (["BenchLamp", "COLOUR=1", "colour=2"], "COLOUR is given twice"),
@@ -165,7 +165,7 @@ def test_what_cannot_or_must_not_be_sent_is_one_clear_line(
     [
         (["--count", "-1"], "--count is -1, but must be 0 or more"),
         (["--listen", "0"], "--listen is 0, but must be 0.2 or more"),
-        ([], "-i says on which CAN interface; --dry-run sends nothing"),
+        ([], "the bus is missing: fsai-vcu send can0 BenchLamp …; --dry-run sends nothing"),
     ],
 )
 def test_options_that_make_no_sense_are_wrong_use(
@@ -239,7 +239,7 @@ def received(bus: CanBus) -> list[Frame]:
 def test_a_frame_goes_out_as_often_as_asked_and_as_far_apart(
     name: str, bus: CanBus, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    argv = ["BenchLamp", "COLOUR=RED", "--dbc", bench, "-i", name, "--listen", "0.2"]
+    argv = [name, "BenchLamp", "COLOUR=RED", "--dbc", bench, "--listen", "0.2"]
     begun_s = time.monotonic()
     assert main(["send", *argv, "--count", "5", "--period", "20"]) == 0
     assert time.monotonic() - begun_s >= 0.2 + 4 * 0.02

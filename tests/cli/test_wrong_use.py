@@ -16,7 +16,7 @@ USES = [
     # ---------------------------------------------------------------- what no verb or no file is
     ("fly", 2, "no verb 'fly'"),
     ("mode auto", 2, "there is no mode 'auto'; did you mean autonomous?"),
-    ("mode sport", 2, "there is no mode 'sport'; manual or autonomous"),
+    ("mode sport", 2, "there is no mode 'sport'; there are: manual, autonomous"),
     ("status --wait nan", 2, "--wait is nan, but must be 0 or more"),
     *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
     *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
@@ -30,7 +30,7 @@ USES = [
         for verb in ("explain", "report -o x.html", "check")
     ),
     *(
-        (f"{verb} run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1")
+        (f"{verb} run.log --from 2 --to 1", 2, "--from 2 is after --to 1")
         for verb in ("check", "explain", "dump", "decode", "report -o x.html", "compare run.log")
     ),
     *(
@@ -40,16 +40,19 @@ USES = [
     *(
         (f"{verb} -o run.log", 2, "run.log is the log that is read: it would be written over")
         for verb in (
-            "export run.log --to mf4",
-            "export folder/../run.log --to mcap",
+            "export run.log --format mf4",
+            "export folder/../run.log --format mcap",
             "report run.log",
             "plot run.log ANGLE",
         )
     ),
-    ("export run.log --to csv -o tables --dbc foreign.dbc", 1, "nothing to export: the databases name none of the 2"),
+    (
+        "export run.log --format csv -o tables --dbc foreign.dbc",
+        1,
+        "nothing to export: the databases name none of the 2",
+    ),
     ("check run.log --bitrate 0", 2, "--bitrate is 0, not a bit rate"),
-    ("record -o run.log", 2, "-i is missing: which bus is recorded (-i), and where (-o)?"),
-    ("record -i no0", 2, "-o is missing: which bus is recorded (-i), and where (-o)?"),
+    ("record -i no0", 2, "-o is missing: fsai-vcu record can0 -o run.log"),
     ("record -i no0 -o x.log --config x.toml", 2, "--config goes with --service"),
     ("record --service --config gone.toml", 1, "gone.toml: cannot be read: No such file"),
     ("decode folder", 1, "folder: no log in this folder"),
@@ -69,7 +72,7 @@ USES = [
     (f"dump {'x' * 5000}", 1, "xxx: File name too long"),
     # ---------------------------------------------------------------- export
     *(
-        (f"export {use} --to csv -o tables", status, words)
+        (f"export {use} --format csv -o tables", status, words)
         for use, status, words in (
             ("gone.log", 1, "gone.log: No such file or directory"),
             ("no0", 2, "no0 is an interface; export reads logs"),
@@ -81,10 +84,10 @@ USES = [
             ("run.log --wide --raster 0ms", 2, "no raster: '0ms'"),
         )
     ),
-    ("export run.log --to csv -o /absent/tables", 1, "cannot write /absent/tables: No such file or directory"),
+    ("export run.log --format csv -o /absent/tables", 1, "cannot write /absent/tables: No such file or directory"),
     # ---------------------------------------------------------------- monitor and pit wall
     ("monitor run.log --rate -1", 2, "--rate is -1, but must be 0 or more"),
-    ("monitor run.log --at nan", 2, "--at is nan: neither seconds from 0 on nor a time such as 14:03:30"),
+    ("monitor run.log --at nan", 2, "--at is nan: neither seconds from 0 on, nor minutes and"),
     ("monitor run.log --every 0", 2, "--every is 0, but must be 0.02 or more"),
     ("monitor run.log --seconds 3", 2, "--seconds is for live buses"),
     (f"monitor {BUS} --rate 1", 2, "--at, --from, --to and --rate are for logs"),
@@ -99,6 +102,16 @@ USES = [
     ("pitwall run.log --port 70000", 2, "--port is 70000, but must be 0 to 65535"),
     # ---------------------------------------------------------------- replay and record
     ("replay run.log -i pcan:PCAN_USBBUS1", 1, "pcan:PCAN_USBBUS1 may be a real bus, with a car on it"),
+    ("replay run.log", 2, "the last argument is the bus to send on: fsai-vcu replay run.log vcan0"),
+    ("replay run.log run.log", 2, "the last argument is the bus to send on: fsai-vcu replay run.log vcan0"),
+    ("record -o x.log", 2, "the bus is missing: fsai-vcu record can0 -o run.log"),
+    ("record no0 -i no1 -o x.log", 2, "two buses: no0, and -i no1"),
+    ("send no0 AI2VCU_Steer -i no1", 1, "no message 'no0'"),
+    ("send BenchLamp", 1, "no message 'BenchLamp'"),
+    ("send AI2VCU_Steer STEER_REQUEST=1 --as-ai", 2, "the bus is missing: fsai-vcu send can0 AI2VCU_Steer"),
+    ("send no0 AI2VCU_Steer STEER_REQUEST=1 --as-ai", 1, "no CAN interface 'no0'"),
+    ("export run.log -o x", 2, "--format is missing: csv, parquet, mcap, mf4"),
+    ("decode run.log --messages VCU2AI_Stear", 1, "no message VCU2AI_Stear; did you mean VCU2AI_Steer"),
     ("replay run.log -i no0", 1, "no0 may be a real bus"),
     ("replay run.log -i no0 --physical", 1, "no CAN interface 'no0'"),
     *(
@@ -107,9 +120,9 @@ USES = [
             ("run.log --rate 0", 2, "--rate is 0, but must be 0.01 or more"),
             ("run.log --rate nan", 2, "--rate is nan, but must be 0.01 or more"),
             ("run.log --loop -1", 2, "--loop is -1, but must be 0 or more"),
-            ("run.log --from 2 --to 1", 2, "--from is 2, behind the end of the part at 1"),
+            ("run.log --from 2 --to 1", 2, "--from 2 is after --to 1"),
             ("run.log --from=-3", 2, "--from is -3: neither seconds from 0 on"),
-            ("run.log --from soon", 2, "--from is soon: neither seconds from 0 on nor a time such"),
+            ("run.log --from soon", 2, "--from is soon: neither seconds from 0 on, nor minutes"),
             ("run.log,510:7FF", 1, "nothing is left to send"),
             ("vcan0", 2, "vcan0 is an interface; replay reads logs"),
             ("gone.log", 1, "gone.log: No such file or directory"),
@@ -139,7 +152,8 @@ USES = [
     ("drive --max-speed nan", 1, "max_speed_mps is nan"),
     ("drive --limits gone.toml", 1, "gone.toml"),
     ("drive --log /absent/bus.log", 1, "/absent/bus.log: No such file or directory"),
-    ("drive --fault nothing", 1, "unknown fault 'nothing': --list-faults shows"),
+    ("drive --fault steering_frozn", 1, "unknown fault 'steering_frozn'; did you mean steering_frozen"),
+    ("drive --fault nothing", 1, "unknown fault 'nothing'; --list-faults shows"),
     ("drive --fault go_off --track small_oval", 1, "--track does not go with --fault"),
     ("drive --fault go_off --noise 2", 1, "do not go with --fault"),
     ("drive --fault go_off --mission picnic", 1, "unknown mission 'picnic'"),

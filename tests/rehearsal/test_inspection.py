@@ -233,8 +233,8 @@ def test_what_follows_the_dashes_is_the_programs(capsys: pytest.CaptureFixture[s
     add_arguments(parser)
     args = parse(parser, ["-i", "vcan7", "--only", "end", "--", "./node", "--only", "x"])
     assert (args.interface, args.only, args.command) == ("vcan7", "end", ["./node", "--only", "x"])
-    with pytest.raises(WrongUse, match="no item 'nothing': choose from messages, order"):
-        run(parse(parser, ["--only", "nothing"]))
+    with pytest.raises(WrongUse, match="no item 'handshak'; did you mean handshake"):
+        run(parse(parser, ["--only", "handshak"]))
     assert run(parse(parser, ["--list", "--json"])) == 0
     assert [item["slug"] for item in json.loads(capsys.readouterr().out)] == [item.slug for item in ITEMS]
 

@@ -91,5 +91,5 @@ def test_a_setup_that_cannot_be_built_is_refused_in_one_line(setup: WorldSetup, 
 
 def test_an_unknown_mission_is_refused_with_the_valid_names() -> None:
     assert mission_named("TrackDrive") is Ami.TRACKDRIVE
-    with pytest.raises(ValueError, match=r"choose one of acceleration, .*autonomous_demo"):
+    with pytest.raises(ValueError, match=r"there are: acceleration, .*autonomous_demo"):
         mission_named("rally")

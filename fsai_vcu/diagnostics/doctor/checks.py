@@ -34,7 +34,7 @@ def place(machine: Machine) -> Iterator[Finding]:
 
 
 def vcan(machine: Machine) -> Iterator[Finding]:
-    stand_in = "loopback:NAME stands in for a bus wherever one is named, as in fsai-vcu vcu -i loopback:lab"
+    stand_in = "loopback:NAME stands in for a bus wherever one is named, as in fsai-vcu vcu loopback:lab"
     if machine.vcan:
         yield _right("bus", f"{machine.vcan} is up; {stand_in}")
     elif machine.kernel_has_vcan:

@@ -8,10 +8,9 @@ have to be named.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,7 +18,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.log.frames import CLASSIC_BYTES
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.errors import UserError
+from fsai_vcu.interface.errors import UserError, did_you_mean
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS
 
@@ -87,7 +86,7 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
     if not matching and number is not None:
         raise UserError(f"no message has the identifier {words}")
     if not matching:
-        raise UserError(f"no message '{words}'{_near(words, (layout.name for layout in layouts))}")
+        raise UserError(f"no message '{words}'{did_you_mean(words, (layout.name for layout in layouts))}")
     if len(matching) > 1:
         raise UserError(f"'{words}' may be {' or '.join(layout.name for layout in matching)}")
     return matching[0]
@@ -125,7 +124,7 @@ def _assigned(message: Message, assignments: Sequence[str]) -> dict[str, str]:
         if name not in names:
             alike = [each for each in names if each.casefold() == name.casefold()]
             if len(alike) != 1:
-                raise UserError(f"{message.name} has no signal '{name}'{_near(name, names)}")
+                raise UserError(f"{message.name} has no signal '{name}'{did_you_mean(name, names)}")
             name = alike[0]
         if name in found:
             raise UserError(f"{name} is given twice")
@@ -247,13 +246,3 @@ def _shown(signal: Signal, raw: float) -> float | str:
 
 def _folded(name: str) -> str:
     return re.sub(r"[\W_]+", "", name).casefold()
-
-
-def _near(words: str, names: Iterable[str]) -> str:
-    """A hint at the names that were perhaps meant."""
-    by_folded = {name.casefold(): name for name in names}
-    close = difflib.get_close_matches(words.casefold(), by_folded, n=3, cutoff=0.5)
-    close += [folded for folded in by_folded if words.casefold() in folded and folded not in close][: 3 - len(close)]
-    if close:
-        return f"; is it {' or '.join(by_folded[folded] for folded in close)}?"
-    return f"; there are: {', '.join(by_folded.values())}" if len(by_folded) <= 12 else ""

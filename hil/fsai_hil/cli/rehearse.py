@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Final
 
 from fsai_hil.simulator.profiles import PROFILES
+from fsai_vcu.arguments import add_bus_argument
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 PROGRAM: Final = "fsai-vcu rehearse"
 EXAMPLE = (
-    "fsai-vcu rehearse -i vcan0 -- ./own_can_node vcan0\n"
-    "  fsai-vcu rehearse -i vcan0 --only handshake,static-a -- ros2 launch my_stack car.launch.py\n"
-    "  fsai-vcu rehearse -i can0 -o out/can0"
+    "fsai-vcu rehearse vcan0 -- ./own_can_node vcan0\n"
+    "  fsai-vcu rehearse vcan0 --only handshake,static-a -- ros2 launch my_stack car.launch.py\n"
+    "  fsai-vcu rehearse can0 -o out/can0"
 )
 ABOUT = """\
 Starts the program, and a simulated VCU and car on the same bus, and plays what
@@ -39,9 +40,9 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.usage = "%(prog)s [-i BUS] [options] [-- COMMAND …]"
+    parser.usage = "%(prog)s [BUS] [options] [-- COMMAND …]"
     add = parser.add_argument
-    add("-i", "--interface", default="vcan0", metavar="BUS", help="bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)")
+    add_bus_argument(parser, "the bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)", "vcan0")
     add("--only", metavar="ITEM[,ITEM…]", help="only these items, and the scenes that show them")
     add("--list", action="store_true", help="list the items: what is asked, and by whom")
     add("--revision", default="2026", choices=("2021", "2026"), help="interface revision of the car (2026)")

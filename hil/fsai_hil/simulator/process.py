@@ -30,6 +30,7 @@ from fsai_hil.simulator.profiles import PROFILES
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
 from fsai_hil.simulator.switches import SWITCH_NAMES
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
+from fsai_vcu.arguments import add_bus_argument
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.database import DatabaseError
 from fsai_vcu.interface.enums import Ami, AsState
@@ -38,7 +39,7 @@ from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.realtime import FIFO_PRIORITY, go_real_time
 from fsai_vcu.runtime.recording import CandumpWriter
 
-EXAMPLE: Final = "fsai-vcu vcu -i vcan0 --mission trackdrive --laps 2 --auto"
+EXAMPLE: Final = "fsai-vcu vcu vcan0 --mission trackdrive --laps 2 --auto"
 PROGRAM: Final = "fsai-vcu vcu"
 MISSION: Final = "trackdrive"
 TRUTH_PERIOD_NS: Final = 20_000_000  # faster than any sensor looks
@@ -65,7 +66,7 @@ HELP: Final = f"""commands:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_arguments(parser, MISSION, "NAME[,NAME…]")
     add = parser.add_argument
-    add("-i", "--interface", default="vcan0", metavar="BUS", help="bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)")
+    add_bus_argument(parser, "the bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)", "vcan0")
     add("--auto", action="store_true", help="walk the switches, choose the mission, give Go, and end with it")
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
     add("--truth", type=int, metavar="PORT", help="send the true pose to this UDP port of 127.0.0.1, for sensors")

@@ -26,6 +26,7 @@ from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import codec_of
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
+from fsai_vcu.interface.errors import did_you_mean
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.values import Value
@@ -275,4 +276,4 @@ def mission_named(name: str) -> Ami:
     try:
         return known[name.strip().lower()]
     except KeyError:
-        raise ValueError(f"unknown mission {name!r}: choose one of {', '.join(known)}") from None
+        raise ValueError(f"unknown mission {name!r}{did_you_mean(name, known)}") from None

@@ -21,6 +21,7 @@ from fsai_hil.evidence.campaign.demands import Computed, Demand, End, Graded, Mu
 from fsai_hil.evidence.campaign.injections import Injection
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
+from fsai_vcu.interface.errors import did_you_mean
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import PERIOD_NS
@@ -842,4 +843,6 @@ def kind_named(name: str) -> FaultKind:
     try:
         return KINDS[name]
     except KeyError:
-        raise ValueError(f"unknown fault {name!r}: --list-faults shows the {len(KINDS)} there are") from None
+        raise ValueError(
+            f"unknown fault {name!r}{did_you_mean(name, KINDS) or f'; --list-faults shows the {len(KINDS)} there are'}"
+        ) from None

@@ -25,6 +25,7 @@ from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.codec import Codec, Decoded
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.errors import did_you_mean
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
     AiBrake,
@@ -637,5 +638,5 @@ def items_named(names: Sequence[str]) -> tuple[Item, ...]:
     """In the order of the table. Raises ValueError for a name that is none."""
     unknown = [name for name in names if name not in BY_SLUG]
     if unknown:
-        raise ValueError(f"no item '{unknown[0]}': choose from {', '.join(BY_SLUG)}")
+        raise ValueError(f"no item '{unknown[0]}'{did_you_mean(unknown[0], BY_SLUG) or '; --list shows them'}")
     return tuple(item for slug, item in BY_SLUG.items() if not names or slug in names)
