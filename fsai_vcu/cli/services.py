@@ -22,6 +22,8 @@ from fsai_vcu.runtime.transport import enclave_words, set_transport
 ASK_AGAIN_S = 1.0
 _SAY_S, _SAY_AGAIN_S = 0.5, 3.0  # what is waited for
 _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
+_NO_NODE_S = 0.9  # a node of this machine is found in a fraction of it
+_STATE_S = 10.0
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
     "ROS 2 is not in this Python environment ({missing}): source the distribution's setup file, "
@@ -29,11 +31,12 @@ _NO_ROS = (
 )
 
 
-def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float = 10.0) -> None:
-    """Add what every question to the bridge can be given."""
+def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float | None = 10.0) -> None:
+    """Add what every question to the bridge can be given; `wait_s` None: as long as `vehicle_state` sees fit."""
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    usual = f"{_STATE_S:g} s; 1 s where no ROS node runs" if wait_s is None else f"{wait_s:g} s"
     parser.add_argument(
-        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after so long (default: {wait_s:g} s)"
+        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after so long (default: {usual})"
     )
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
 
@@ -157,20 +160,25 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
 
 
 def vehicle_state(args: argparse.Namespace) -> Any:
-    """The newest /vehicle_state. Raises UserError when none comes in time."""
+    """The newest /vehicle_state. Raises UserError when none comes in time, and, unless told to wait, for no node."""
     check_numbers(args, wait=0.0)
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.msg import VehicleState
         from rclpy.qos import qos_profile_sensor_data
 
-        until = time.monotonic() + args.wait
+        begin_s = time.monotonic()
+        wait_s = _STATE_S if args.wait is None else args.wait
         received: list[Any] = []
         node.create_subscription(VehicleState, "vehicle_state", received.append, qos_profile_sensor_data)
         while not received:
-            left_s = until - time.monotonic()
-            if left_s <= 0:
+            waited_s = time.monotonic() - begin_s
+            if waited_s >= wait_s:
                 topic = node.resolve_topic_name("vehicle_state")
-                raise UserError(f"nothing on {topic} for {args.wait:g} s; {_WHERE}")
-            rclpy.spin_once(node, timeout_sec=min(_TURN_S, left_s))
+                raise UserError(f"nothing on {topic} for {wait_s:g} s; {_WHERE}")
+            others = [name for name in node.get_node_names() if name != node.get_name() and not name.startswith("_")]
+            if args.wait is None and waited_s >= _NO_NODE_S and not others:
+                domain = os.environ.get("ROS_DOMAIN_ID", "0")
+                raise UserError(f"no ROS node runs here, on ROS_DOMAIN_ID {domain}; --wait S waits for one")
+            rclpy.spin_once(node, timeout_sec=min(_TURN_S, wait_s - waited_s))
     return received[-1]

@@ -5,15 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from functools import partial
 from typing import Any
 
-from fsai_vcu.cli.services import add_bridge_arguments as add_arguments
-from fsai_vcu.cli.services import vehicle_state
+from fsai_vcu.cli.services import add_bridge_arguments, vehicle_state
 from fsai_vcu.printable import LINE, printable
 
 __all__ = ["EXAMPLE", "add_arguments", "run"]
 
 EXAMPLE = "fsai-vcu status --json"
+add_arguments = partial(add_bridge_arguments, wait_s=None)
 _MOST = 50  # items of a list; any program on this machine can publish the message
 
 

@@ -103,6 +103,15 @@ def test_without_a_bridge_every_verb_says_so_in_one_line(
     assert said.err.startswith(words) and said.err.count("\n") == 1, said.err
 
 
+def test_status_without_any_node_does_not_wait_for_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "101")  # that of no other test
+    assert main(["status"]) == 1
+    words = "no ROS node runs here, on ROS_DOMAIN_ID 101; --wait S waits for one"
+    assert capsys.readouterr().err == f"fsai-vcu status: {words}\n"
+
+
 @pytest.mark.parametrize("name", ["reset", "status"])
 def test_ctrl_c_ends_the_waiting(name: str) -> None:
     argv = [sys.executable, "-m", "fsai_vcu.cli.main", name, "--wait", "3600"]
