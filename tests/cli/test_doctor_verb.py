@@ -361,6 +361,24 @@ def test_a_laptop_is_not_asked_for_what_a_car_pc_has(
     assert "configuration" in {each["topic"] for each in json.loads(capsys.readouterr().out)["findings"]}
 
 
+@pytest.mark.parametrize(
+    ("machine", "last"),
+    [
+        (replace(LAPTOP, may_be_real_time=True), "all is well"),
+        (replace(LAPTOP, may_be_real_time=True, dds_leftovers=LEFT), "nothing is wrong; 1 to put in order (->)"),
+        (replace(LAPTOP, ros=Ros(), dds_leftovers=LEFT), "1 wrong"),
+    ],
+)
+def test_what_is_to_be_put_in_order_is_not_all_well(
+    machine: Machine, last: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("USUAL_PATH", "INSTALLED"):
+        monkeypatch.setattr(f"fsai_vcu.cli.doctor.{name}", tmp_path / "absent")
+    monkeypatch.setattr("fsai_vcu.cli.doctor.laptop", lambda: machine)
+    assert main(["doctor"]) == ("wrong" in last and not last.startswith("nothing"))
+    assert capsys.readouterr().out.splitlines()[-1] == last
+
+
 def test_a_kernel_module_is_found_built_in_or_to_load(tmp_path: Path) -> None:
     here = tmp_path / os.uname().release
     here.mkdir()
