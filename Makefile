@@ -26,8 +26,9 @@ demo-everywhere:  ## the demo on every Python of this machine that fits, each in
 	done; \
 	[[ ! $$failed ]] || { echo "demo-everywhere: failed on$$failed" >&2; exit 1; }
 
-drive: setup  ## the nodes and the simulated car until the mission is over, their log on the screen; ARGS="mission:=skidpad ..."
-	@$(BIN)/python -m fsai_nodes.launch simulated_car:=true $(ARGS)
+drive: setup  ## nodes, simulated car, pit wall and recording until the mission is over or Ctrl-C; ARGS="mission:=skidpad ..."
+	@run=$$(date +%Y-%m-%d_%H-%M-%S); mkdir -p out/runs; ln -sfn $$run out/runs/latest; \
+	$(BIN)/python -m fsai_nodes.launch simulated_car:=true pitwall:=true record:=out/runs/$$run $(ARGS)
 
 setup:  ## .venv with everything in it; installs system packages when root, else says which; what needs it does it first
 	@scripts/setup

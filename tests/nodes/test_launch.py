@@ -107,6 +107,13 @@ def test_the_pit_wall_is_a_process_of_its_own_on_the_same_bus(launch_file: dict[
     assert launch_file["start"](context)[-1].options["on_exit"] is None  # nobody's drive ends with it
 
 
+def test_a_run_is_kept_in_the_folder_that_is_named() -> None:
+    found = started(simulated_car="true", record="runs/7", can_interface="loopback:x")
+    assert found["recorder"].words == ("record", "loopback:x", "-o", "runs/7") and not found["recorder"].needed
+    assert {"--result=runs/7/verdict.json", "--plot=runs/7/run.png"} <= set(found["simulated_car"].words)
+    assert "--plot" not in " ".join(started(simulated_car="true")["simulated_car"].words)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

@@ -43,7 +43,8 @@ def main() -> int:
     add_setup_arguments(parser, MISSION)
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
     parser.add_argument("--own-vcan", action="store_true", help=argparse.SUPPRESS)  # it runs in a network of its own
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
+    out = "folder for logs, plot and verdict (default: out/demo, of a run with nodes of yours out/demo-NAME)"
+    parser.add_argument("--out", type=Path, help=out)
     parser.add_argument("--no-gps", action="store_true", help="a car without the PCAN-GPS")
     parser.add_argument("--without", default="", metavar="NODE,...", help=f"leave out, of {', '.join(REPLACEABLE)}")
     parser.add_argument("--with", dest="others", action="append", default=[], metavar="FILE.py|MODULE", help=WITH_HELP)
@@ -59,6 +60,9 @@ def main() -> int:
             parser.error(f"--with '{other}': no program")
         if named.endswith(".py") and not Path(named).is_file():
             parser.error(f"--with {named}: no such file")
+    if args.out is None:  # a run with other nodes leaves the demo's results as they are
+        replaced = [Path(words_of(other)[0]).stem for other in args.others] or args.without
+        args.out = Path("out", "-".join(["demo", *replaced]))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
         # What would only fail once everything is running.

@@ -443,7 +443,8 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
             "path": [asdict(sample) for sample in first.samples],
         }
         try:
-            Path(args.result).write_text(json.dumps(saved) + "\n", encoding="utf-8")
+            lines = (f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in saved.items())
+            Path(args.result).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
         except OSError as error:
             print(f"{PROGRAM}: {args.result} cannot be written: {error.strerror}", file=sys.stderr)
             saved_all = False

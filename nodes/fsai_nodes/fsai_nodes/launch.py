@@ -46,6 +46,7 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "acceleration_max_speed": ("vehicle_controller",),
 }
 CLI = "fsai_vcu.cli.main"
+VERDICT, PLOT = "verdict.json", "run.png"
 _STOP_TIMEOUT_S = 15.0  # time for the bridge's goodbye to the car
 
 
@@ -75,6 +76,12 @@ _OTHERS = (
     Argument("without", "", "Nodes that are not started, separated by commas: those your own stack replaces."),
     Argument("composed", "false", "All nodes but the bridge in one process.", _FLAG),
     Argument("pitwall", "false", "Show bus and nodes live on a web page: fsai-vcu pitwall --ros.", _FLAG),
+    Argument(
+        "record",
+        "",
+        "Folder in which this run is kept: the log of its bus, and the simulated car's verdict.json and run.png. "
+        "Empty: nothing is kept.",
+    ),
     Argument("markers", "false", "Start visualization: /markers, the car's model and frames.", _FLAG),
     Argument("rviz", "false", "Open RViz with what visualization publishes; starts that, too (ros2 launch).", _FLAG),
 )
@@ -131,6 +138,8 @@ def programs(given: Mapping[str, str]) -> list[Program]:
         # Nobody is there to choose the mode.
         texts["autonomous_at_power_up"] = texts["autonomous_at_power_up"] or "true"
         options = {name: texts[name] for name in ("mission", "revision", "seed", "laps", "track") if texts[name]}
+        if texts["record"]:
+            options |= {"result": str(Path(texts["record"], VERDICT)), "plot": str(Path(texts["record"], PLOT))}
         port = texts["truth_port"] or str(DEFAULT_PORT)
         if not (port.isdecimal() and 0 < int(port) < 1 << 16):
             raise ValueError(f"truth_port:={port}: not a port's number")
@@ -150,8 +159,10 @@ def programs(given: Mapping[str, str]) -> list[Program]:
         composed = Program("composed", "fsai_nodes.composed", words, _ros_words(together, texts, file))
         started = [each for each in started if each.name not in together] + [composed]
     bus = texts["can_interface"] or bus_of(file)
-    watching = [Program("pitwall", CLI, ("pitwall", bus, "--ros"), needed=False)] if on["pitwall"] else []
-    return [*started, *watching, *car]
+    beside = [Program("pitwall", CLI, ("pitwall", bus, "--ros"), needed=False)] if on["pitwall"] else []
+    if texts["record"]:
+        beside.append(Program("recorder", CLI, ("record", bus, "-o", texts["record"]), needed=False))
+    return [*started, *beside, *car]
 
 
 def _ros_words(nodes: Sequence[str], texts: Mapping[str, str], file: str) -> tuple[str, ...]:
@@ -240,7 +251,11 @@ def main() -> int:
     except ValueError as error:
         print(f"launch: {error}", file=sys.stderr)
         return 2
-    return run(started)
+    status = run(started)
+    if folder := given.get("record"):
+        verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
+        print(f"launch: this run is in {folder}; why it ended: {verb} explain {folder}", file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":
