@@ -13,8 +13,10 @@ from typing import Any
 
 import pytest
 
-from fsai_nodes import composed
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
+from fsai_nodes import composed, launch
 from fsai_nodes.launch import PARAMETERS, Program, arguments, programs
+from fsai_vcu.interface.units import MS
 
 CHECKOUT = Path(__file__).parents[2]
 LAUNCH_FILE = CHECKOUT / "nodes" / "fsai_nodes" / "launch" / "fsai.launch.py"
@@ -149,6 +151,25 @@ def test_without_launch_the_first_needed_that_ends_ends_all(tmp_path: Path) -> N
         "launch: watches has ended with status 0; the others go on",
         "launch: fails has ended with status 3; the others are ended",
     ]
+
+
+@pytest.mark.parametrize(("status", "stalls_ms", "judged"), [(1, [12, 109], False), (1, [12], True), (0, [109], True)])
+def test_a_drive_that_fails_on_a_busy_computer_says_so_last(
+    status: int,
+    stalls_ms: list[int],
+    judged: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(launch, "run", lambda started: status)
+    monkeypatch.setattr(
+        StallMonitor, "stalls_ns", lambda _, since, least: [ms * MS for ms in stalls_ms if ms * MS >= least]
+    )
+    monkeypatch.setattr(sys, "argv", ["launch", "simulated_car:=true", "record:=runs/7", "can_interface:=loopback:x"])
+    assert launch.main() == status
+    last = capsys.readouterr().err.splitlines()[-1]
+    busy = "launch: this computer stood still for 109 ms, too busy for the car's deadlines: this run is not judged"
+    assert ("why it ended" in last) if judged else last.startswith(busy)
 
 
 def test_without_launch_the_arguments_are_listed_and_checked() -> None:

@@ -63,9 +63,9 @@ class StallMonitor:
         lasted_ns = [woken_ns - due_ns for due_ns, woken_ns in stalls if woken_ns >= since_ns]
         return [each_ns for each_ns in lasted_ns if each_ns >= at_least_ns]
 
-    def disturbed(self, since_ns: int) -> str:
+    def disturbed(self, since_ns: int, at_least_ns: int = NOTED_NS) -> str:
         """That the machine stood still since then, in words; '' if it did not. What is rehearsed then shows nothing."""
-        stalls = self.stalls_ns(since_ns)
+        stalls = self.stalls_ns(since_ns, at_least_ns)
         more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
         return f"stood still for {max(stalls) / 1e6:.0f} ms{more}" if stalls else ""
 

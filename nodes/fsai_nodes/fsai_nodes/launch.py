@@ -11,6 +11,8 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -19,6 +21,7 @@ from pathlib import Path
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
 from fsai_hil.rehearsal.stack import simulated_car
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.simulator.ground_truth import DEFAULT_PORT
 from fsai_hil.simulator.tracks import NAMES as TRACKS
 from fsai_hil.vcan.native import INTERFACE, existing_vcan
@@ -47,6 +50,7 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
 }
 CLI = "fsai_vcu.cli.main"
 VERDICT, PLOT = "verdict.json", "run.png"
+BUSY_NS = 40_000_000  # two such pauses, or one of twice the length, are a car that brakes for want of an answer
 _STOP_TIMEOUT_S = 15.0  # time for the bridge's goodbye to the car
 
 
@@ -230,6 +234,13 @@ def run(started: Sequence[Program]) -> int:
     return status
 
 
+def rehearsed(started: Sequence[Program]) -> tuple[int, str]:
+    """As `run`, and how this computer was too busy meanwhile, in words; '' if it was not."""
+    with tempfile.TemporaryDirectory(prefix="fsai-launch-") as notes, StallMonitor(Path(notes, "stalls")) as monitor:
+        since_ns = time.monotonic_ns()
+        return run(started), monitor.disturbed(since_ns, BUSY_NS)
+
+
 def _shown(each: Argument) -> str:
     choices = f"\n    one of: {', '.join(filter(None, each.choices))}" if each.choices else ""
     return f"{each.name}:={each.default}\n    {each.words}{choices}"
@@ -251,10 +262,13 @@ def main() -> int:
     except ValueError as error:
         print(f"launch: {error}", file=sys.stderr)
         return 2
-    status = run(started)
+    status, busy = rehearsed(started) if given.get("simulated_car") == "true" else (run(started), "")
     if folder := given.get("record"):
         verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
         print(f"launch: this run is in {folder}; why it ended: {verb} explain {folder}", file=sys.stderr)
+    if status and busy:
+        then = "too busy for the car's deadlines: this run is not judged; drive again with less running beside it"
+        print(f"launch: this computer {busy}, {then}", file=sys.stderr)
     return status
 
 
