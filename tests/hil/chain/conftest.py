@@ -141,6 +141,12 @@ class Chain:
 
     def power_up(self, run: CarRun) -> None:
         """A new power cycle of the shared car, which clears whatever was latched; then it drives."""
+        self.make_ready(run)
+        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
+        self.go(run)
+
+    def make_ready(self, run: CarRun) -> None:
+        """A new power cycle of the shared car, up to AS_READY."""
         run.type("off")
         run.type("ami not_selected")
         # No 0x520 for 1 s is what the bridge takes for a power cycle (safety rule 6); NaN before the very first one.
@@ -150,8 +156,6 @@ class Chain:
         self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
         run.type(f"ami {MISSION}")
         self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
-        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
-        self.go(run)
 
     def go(self, run: CarRun) -> None:
         """Go for a car in AS_READY; wait until it drives at speed."""
