@@ -33,7 +33,7 @@ from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
 SHORT = ["--full", "0", "--world-seeds", "1", "--window", "1"]
-EACH = 15
+EACH = 30
 ONE_CAR = [*SHORT, "--missions", "autonomous_demo", "--revisions", "2026"]  # nobody plans a path in it: quickly driven
 
 
@@ -208,7 +208,7 @@ def cluster() -> Iterator[str]:
 
 
 def test_a_dask_cluster_drives_the_same_campaign(cluster: str, tmp_path: Path) -> None:
-    arguments = ["campaign", "--runs", "4", "--faults", "go_off,emergency_asked", *ONE_CAR]
+    arguments = ["campaign", "--runs", "2", "--faults", "go_off,emergency_asked", *ONE_CAR]
     assert main([*arguments, "--dask", cluster, "--out", str(tmp_path / "there")]) == 0
     assert main([*arguments, "--jobs", "1", "--out", str(tmp_path / "here")]) == 0
     there, here = (read(tmp_path / place / "record.jsonl", KIND)[1] for place in ("there", "here"))
