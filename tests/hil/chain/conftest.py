@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import time
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -214,10 +215,10 @@ def rules_kept(wire: BusWatch, *, lost_ns: int | None = None) -> None:
     lost_ns: when the bus was lost.
     """
     checker = checker_for(CODEC, busy_machine=True)
-    for frame in wire.frames:
-        if lost_ns is not None and frame.t_ns >= lost_ns:
-            checker.on_bus_lost()
-            lost_ns = None
-        if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER):
-            checker.on_frame(frame)
+    frames = [frame for frame in wire.frames if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER)]
+    whole = len(frames) if lost_ns is None else bisect_left(frames, lost_ns, key=lambda frame: frame.t_ns)
+    checker.on_frames(frames[:whole])
+    if frames[whole:]:
+        checker.on_bus_lost()
+        checker.on_frames(frames[whole:])
     assert checker.ok, str(checker)
