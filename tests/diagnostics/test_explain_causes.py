@@ -313,7 +313,10 @@ ENDS = [
 
 
 # What another end of the same cause shows in short: each drives on for a while.
-REPEATED = {f"0x{can_id:03X} is missing" for can_id in AI_IDS[1:]} | {"0x513 is missing, 2021", "EBS fault of a 2021 car"}
+REPEATED = {f"0x{can_id:03X} is missing" for can_id in AI_IDS[1:]} | {
+    "0x513 is missing, 2021",
+    "EBS fault of a 2021 car",
+}
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
 SHORT = ["--full", "0", "--world-seeds", "1", "--window", "1"]
-EACH = 30
+EACH = 28
 ONE_CAR = [*SHORT, "--missions", "autonomous_demo", "--revisions", "2026"]  # nobody plans a path in it: quickly driven
 
 
@@ -208,7 +208,7 @@ def test_a_campaign_continues_with_the_same_sources_only(
 def cluster() -> Iterator[str]:
     distributed: Any = import_module("distributed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, protocol="tcp"
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
     ) as made:
         yield made.scheduler_address
 

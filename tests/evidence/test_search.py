@@ -154,7 +154,12 @@ def reached(model: Composition, chance: random.Random) -> list[State]:
 
 
 @pytest.mark.parametrize(
-    "name", ["commands", *(pytest.param(name, marks=pytest.mark.long) for name in ("sends", "trouble", "power cycle")), "wheel speeds"]
+    "name",
+    [
+        "commands",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("sends", "trouble", "power cycle")),
+        "wheel speeds",
+    ],
 )
 def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
     """A bridge that is saved and put back in each cycle sends what one that lives on sends, until an age is rounded."""

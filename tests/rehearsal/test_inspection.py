@@ -138,7 +138,9 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "never-ends": ("end", "still ran 5 s after SIGTERM, and was killed"),
 }
 # Of several that one item shows, the first is shown in short.
-REPEATED = [fault for fault, (slug, _) in MISTAKES.items() if fault != next(f for f, (s, _) in MISTAKES.items() if s == slug)]
+REPEATED = [
+    fault for fault, (slug, _) in MISTAKES.items() if fault != next(f for f, (s, _) in MISTAKES.items() if s == slug)
+]
 LASTING = {"torque-and-brake", "never-ends"}  # for how long is known at the end; of the others nothing more is learnt
 
 

@@ -2,7 +2,7 @@
 
 One interactive car lives through all of these tests. Each begins with its power cycle, which is also the proof that
 the one before has been recovered from, and ends with a car at rest that does not set off again; or what it does is
-nothing to the car, which drives on into the next test. Those go first: power-up and drive are most of what a test costs.
+nothing to the car, which drives on into the next test. Those go first: power-up and drive cost most of a test.
 """
 
 from __future__ import annotations
