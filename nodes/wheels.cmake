@@ -25,3 +25,13 @@ cmake_language(DEFER CALL fsai_drop_missing_include_directories)
 # own, once.) Fast DDS asks the introspection's of C for the types that it announces.
 find_package(rosidl_default_generators REQUIRED)
 list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")
+
+# The C++ of a package's messages is compiled as one file: most of each is the headers, which all of them include.
+function(fsai_compile_at_once)
+  foreach(kind rosidl_typesupport_fastrtps_c rosidl_typesupport_c)
+    if(TARGET ${PROJECT_NAME}__${kind})
+      set_target_properties(${PROJECT_NAME}__${kind} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 0)
+    endif()
+  endforeach()
+endfunction()
+cmake_language(DEFER CALL fsai_compile_at_once)

@@ -147,7 +147,7 @@ def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     assert not plans[-1].mapped and "map" in plans[-1].note
 
 
-@pytest.mark.parametrize("wrong", [1, 1000])
+@pytest.mark.parametrize("wrong", [1, pytest.param(1000, marks=pytest.mark.long)])
 def test_a_map_closed_at_the_wrong_place_costs_no_cone(wrong: int, monkeypatch: pytest.MonkeyPatch) -> None:
     places = []  # the lap is closed at the first one; at the others the car is looked for in its map
 

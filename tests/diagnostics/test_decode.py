@@ -239,11 +239,11 @@ def test_numbers_are_written_as_repr_writes_them() -> None:
     ]
     borders = np.array([*(2.0**power for power in range(-1074, 1024)), *decimals])
     near = np.concatenate([np.nextafter(borders, way) for way in (-np.inf, np.inf)])
-    whole = 2.0**53 + np.arange(-2000, 2000)
+    whole = 2.0**53 + np.arange(-500, 500)
     chance = np.random.default_rng(3)
-    any_bits = chance.integers(0, 1 << 64, 40_000, dtype=np.uint64)
+    any_bits = chance.integers(0, 1 << 64, 10_000, dtype=np.uint64)
     singles = (any_bits & np.uint64(0xFFFF_FFFF)).astype(np.uint32).view(np.float32)
-    scaled = np.concatenate([np.arange(0, 65536, 5) * scale for scale in (0.1, 0.001, 3.91, 0.00195313, 1e-7)])
+    scaled = np.concatenate([np.arange(0, 65536, 19) * scale for scale in (0.1, 0.001, 3.91, 0.00195313, 1e-7)])
     with np.errstate(invalid="ignore"):  # of signalling NaNs
         floats = np.concatenate([borders, near, whole, any_bits.view(np.float64), singles.astype(np.float64), scaled])
     for numbers in (floats, -floats, any_bits, any_bits.view(np.int64), np.array([0, -(1 << 63)])):
@@ -252,7 +252,7 @@ def test_numbers_are_written_as_repr_writes_them() -> None:
 
 
 @given(st.lists(st.lists(st.text(st.characters(exclude_characters="\n\0", codec="utf-8"), max_size=40), min_size=6)))
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_texts_of_any_lengths_stand_beside_each_other(rows: list[list[str]]) -> None:
     rows = [row[:6] for row in rows]
     parts = [part for column in range(6) for part in (texts_of([row[column] for row in rows]), b"," * (column // 2))]

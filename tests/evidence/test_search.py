@@ -153,7 +153,14 @@ def reached(model: Composition, chance: random.Random) -> list[State]:
     return states
 
 
-@pytest.mark.parametrize("name", ["commands", "sends", "trouble", "power cycle", "wheel speeds"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "commands",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("sends", "trouble", "power cycle")),
+        "wheel speeds",
+    ],
+)
 def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
     """A bridge that is saved and put back in each cycle sends what one that lives on sends, until an age is rounded."""
     chance = random.Random(name)

@@ -31,7 +31,11 @@ def lines_of(shown: RunningProcess, count: int) -> list[str]:
 
 @pytest.mark.parametrize(
     ("options", "filters"),
-    [(["-t", "a"], ",520:7FF,18FF0001:9FFFFFFF"), (["-t", "z"], ",510~7FF"), (["-L", "-n", "3"], "")],
+    [
+        (["-t", "a"], ",520:7FF,18FF0001:9FFFFFFF"),
+        pytest.param(["-t", "z"], ",510~7FF", marks=pytest.mark.long),
+        pytest.param(["-L", "-n", "3"], "", marks=pytest.mark.long),
+    ],
     ids=lambda part: "".join(part),
 )
 def test_dump_shows_the_lines_of_candump(
@@ -64,9 +68,11 @@ def passes(frame: Frame, filters: str) -> bool:
 @pytest.mark.parametrize(
     ("options", "shown"),
     [
-        ("--signals AS_STATE -t z", {"520": "AS_STATE: AS_DRIVING"}),
+        pytest.param("--signals AS_STATE -t z", {"520": "AS_STATE: AS_DRIVING"}, marks=pytest.mark.long),
         ("--messages AI2VCU_Brake,0x123", {"514": "HYD_PRESS", "00000123": "Unknown frame id"}),
-        ("--from 0 --to 30 --changes --short --messages 0x520", {"520": "AS_DRIVING"}),
+        pytest.param(
+            "--from 0 --to 30 --changes --short --messages 0x520", {"520": "AS_DRIVING"}, marks=pytest.mark.long
+        ),
     ],
 )
 def test_dump_of_a_live_bus_shows_what_is_chosen(
@@ -151,7 +157,7 @@ def test_frames_that_find_no_room_are_counted_by_all(other: str, tmp_path: Path)
     assert f"unknown: {lost['check']} frames lost" in running["check"].log()
 
 
-@pytest.mark.parametrize("words", ["dump", "monitor --plain --every 0.1"])
+@pytest.mark.parametrize("words", [pytest.param("dump", marks=pytest.mark.long), "monitor --plain --every 0.1"])
 def test_a_bus_that_goes_away_ends_the_listening_with_one_line(words: str, other: str, tmp_path: Path) -> None:
     verb, *options = words.split()
     ours = listening(other, [*VERB, verb, other, *options], tmp_path / "shown.txt", tmp_path / "errors")

@@ -152,9 +152,7 @@ class RosRig:
             node.destroy_node()
         self.nodes.clear()
         rclpy.try_shutdown()
-        # The bridge's loop freezes what lives when it starts; a node left so would stay in the ROS graph.
-        gc.unfreeze()
-        gc.collect()
+        gc.collect()  # a node that is left in a circle of references would stay in the ROS graph
 
 
 def driven(folder: Path, *words: str) -> str:

@@ -67,7 +67,7 @@ def test_the_verb_tells_a_good_stack_from_a_bad_one(rig: RosRig, brake: float) -
     for role in ("planner", "controller"):
         confirmations.publish(ResetConfirmation(role=role, run_id=7))
     rig.announce()
-    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "check-stack", "--seconds", "10", "--wait", "60", "--json"]
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "check-stack", "--seconds", "3", "--wait", "60", "--json"]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
             for publisher, kind in ((commands, VehicleCommand), (states, VehicleState)):

@@ -137,10 +137,16 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "keeps-estop": ("power-cycle", "ESTOP_REQUEST 1 in AS_READY"),
     "never-ends": ("end", "still ran 5 s after SIGTERM, and was killed"),
 }
+# Of several that one item shows, the first is shown in short.
+REPEATED = [
+    fault for fault, (slug, _) in MISTAKES.items() if fault != next(f for f, (s, _) in MISTAKES.items() if s == slug)
+]
 LASTING = {"torque-and-brake", "never-ends"}  # for how long is known at the end; of the others nothing more is learnt
 
 
-@pytest.mark.parametrize("fault", MISTAKES)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(fault, marks=pytest.mark.long) if fault in REPEATED else fault for fault in MISTAKES]
+)
 def test_each_mistake_of_the_c_program_is_named(library: Path, fault: str) -> None:
     slug, words = MISTAKES[fault]
     node = CNode(library, fault)

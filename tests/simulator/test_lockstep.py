@@ -70,8 +70,16 @@ DISPLACED = replace(skidpad_track(), car_start=Pose(-15.0 - NOSE_M - 2.8, 0.0, 0
     [
         (WorldSetup(missions=[Ami.ACCELERATION, Ami.STATIC_INSPECTION_B]), confident, (), 1),
         (WorldSetup(missions=[Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO], revision="2021"), confident, (), 0),
-        (WorldSetup(missions=[Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False), colourless, (drifting,), 0),
-        (oval(), confident, (), 0),
+        pytest.param(  # in short: core/test_missions_skidpad.py, and the lost car of test_lost.py
+            *(
+                WorldSetup(missions=[Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False),
+                colourless,
+                (drifting,),
+                0,
+            ),
+            marks=pytest.mark.long,
+        ),
+        pytest.param(oval(), confident, (), 0, marks=pytest.mark.long),  # on vcan0, and with examples/, it is driven
         pytest.param(
             *(oval(missions=[Ami.TRACKDRIVE], track=without_gate(), laps=2, revision="2021"), unsure, (), 0),
             marks=pytest.mark.long,
@@ -100,7 +108,7 @@ def test_every_mission_passes_by_the_rules_with_no_guard_acting(
 
 
 def test_the_official_simulators_quirks_are_coped_with() -> None:
-    result = Lockstep(WorldSetup(missions=[Ami.ACCELERATION], profile="official-simulator", gps=False)).run()
+    result = Lockstep(WorldSetup(missions=[Ami.AUTONOMOUS_DEMO], profile="official-simulator", gps=False)).run()
     assert result.verdict.result == "pass", result.verdict.reasons
     assert not any("brake" in violation and "together" in violation for violation in result.wire.violations)
 

@@ -54,7 +54,11 @@ def outcome(lockstep: Lockstep) -> tuple[object, ...]:
     )
 
 
-@pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
+@pytest.mark.parametrize(
+    "mission",
+    [pytest.param(ami, marks=[pytest.mark.long] * (ami is Ami.SKIDPAD)) for ami in MISSIONS],
+    ids=lambda ami: ami.name.lower(),
+)
 def test_a_copy_of_a_run_continues_as_the_run_and_undisturbed(mission: Ami) -> None:
     run = driving(mission, MISSIONS[mission])
     kept = copy.deepcopy(run)

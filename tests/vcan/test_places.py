@@ -110,7 +110,7 @@ def test_every_clock_in_uml_goes_by_the_pace(tmp_path: Path, capfdbinary: pytest
 
 
 @needs_uml
-@pytest.mark.parametrize("room_in_memory", [True, False])
+@pytest.mark.parametrize("room_in_memory", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_command_too_long_in_uml_is_ended_and_its_files_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_in_memory: bool
 ) -> None:

@@ -32,6 +32,7 @@ class RosOperator:
         from fsai_msgs.msg import VehicleState
         from fsai_msgs.srv import SetMode
         from rclpy.action import ActionClient
+        from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import qos_profile_sensor_data
         from std_srvs.srv import Trigger
 
@@ -39,6 +40,9 @@ class RosOperator:
         self._types = (RunMission, SetMode, Trigger)
         rclpy.init()
         self.node = rclpy.create_node(name)
+        # rclpy.spin_once would take the node into an executor and out of it again at each message.
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
         self._run_mission = ActionClient(self.node, RunMission, "/run_mission")
         self._set_mode = self.node.create_client(SetMode, "/set_mode")
         self._triggers = {each: self.node.create_client(Trigger, each) for each in ("/emergency_brake", "/reset")}
@@ -57,6 +61,7 @@ class RosOperator:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
 
     def close(self) -> None:
+        self._executor.shutdown()
         self.node.destroy_node()
         self._rclpy.try_shutdown()
 
@@ -64,7 +69,7 @@ class RosOperator:
 
     def spin(self) -> None:
         """Receive what has arrived, for a moment."""
-        self._rclpy.spin_once(self.node, timeout_sec=_SPIN_S)
+        self._executor.spin_once(timeout_sec=_SPIN_S)
 
     def await_that(self, condition: Callable[[], bool], timeout_s: float, what: str, *alive: str) -> None:
         """Listen until `condition` holds. Raises StackError when it does not in time, or one of `alive` has ended."""

@@ -23,6 +23,7 @@ from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rules.checker import read_candump
 from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
 
 NOISE_KIB: Final = 1024
 GROWTH_KIB_PER_HOUR: Final = 4096
@@ -130,7 +131,12 @@ def response_parts(
 
     `since_ns`, and from and to of the periods that are left out, `without`: ns of the log's clock.
     """
-    frames = [frame for frame in read_candump(log) if frame.t_ns >= since_ns and not _within(frame.t_ns, without)]
+    handshake = {AI_IDS[0], STATUS_ID}  # all others are most of a log, and say nothing here
+    frames = [
+        frame
+        for frame in read_candump(log)
+        if frame.can_id in handshake and frame.t_ns >= since_ns and not _within(frame.t_ns, without)
+    ]
     part_ns = (max((frame.t_ns for frame in frames), default=since_ns) - since_ns) / PARTS
     windows = {f"{part}": (since_ns + part * part_ns, since_ns + (part + 1) * part_ns) for part in range(PARTS)}
     return [times for times, _ in responses_in(frames, codec, windows).values()]

@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import time
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -141,6 +142,12 @@ class Chain:
 
     def power_up(self, run: CarRun) -> None:
         """A new power cycle of the shared car, which clears whatever was latched; then it drives."""
+        self.make_ready(run)
+        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
+        self.go(run)
+
+    def make_ready(self, run: CarRun) -> None:
+        """A new power cycle of the shared car, up to AS_READY."""
         run.type("off")
         run.type("ami not_selected")
         # No 0x520 for 1 s is what the bridge takes for a power cycle (safety rule 6); NaN before the very first one.
@@ -150,8 +157,6 @@ class Chain:
         self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
         run.type(f"ami {MISSION}")
         self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
-        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
-        self.go(run)
 
     def go(self, run: CarRun) -> None:
         """Go for a car in AS_READY; wait until it drives at speed."""
@@ -210,10 +215,10 @@ def rules_kept(wire: BusWatch, *, lost_ns: int | None = None) -> None:
     lost_ns: when the bus was lost.
     """
     checker = checker_for(CODEC, busy_machine=True)
-    for frame in wire.frames:
-        if lost_ns is not None and frame.t_ns >= lost_ns:
-            checker.on_bus_lost()
-            lost_ns = None
-        if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER):
-            checker.on_frame(frame)
+    frames = [frame for frame in wire.frames if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER)]
+    whole = len(frames) if lost_ns is None else bisect_left(frames, lost_ns, key=lambda frame: frame.t_ns)
+    checker.on_frames(frames[:whole])
+    if frames[whole:]:
+        checker.on_bus_lost()
+        checker.on_frames(frames[whole:])
     assert checker.ok, str(checker)

@@ -14,7 +14,7 @@ import pytest
 from chain.conftest import CODEC, DRIVE_S, MISSION, OWN, POWER_UP_S, START_S, STOP_S, Chain
 from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
 from fsai_hil.rehearsal.stack import NODES
-from fsai_hil.rules.checker import check_candump, read_candump
+from fsai_hil.rules.checker import check_candump, checker_for, read_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
@@ -61,11 +61,13 @@ def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
     assert status == 0
     assert result.success and result.as_state == "AS_FINISHED", result.message
     assert (verdict["laps"], verdict["off_course"]) == (1, 0)
-    wire = check_candump(run.log_path, CODEC, busy_machine=True)
+    frames = list(read_candump(run.log_path))
+    wire = checker_for(CODEC, busy_machine=True)
+    wire.on_frames(frames)
     assert wire.ok, wire
     states = [state.label for _, state in wire.as_states]
     assert states[-4:] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
-    no_reserved_id_and_every_handshake([(frame.can_id, frame.data) for frame in read_candump(run.log_path)])
+    no_reserved_id_and_every_handshake([(frame.can_id, frame.data) for frame in frames])
     # The short form of `fsai-vcu hil --soak`; it counts from the drive on, for nodes that have driven before.
     flatness = judge(sampler.samples, response_parts(run.log_path, CODEC, began_ns))
     assert flatness.flat, str(flatness)

@@ -2,7 +2,7 @@
 
 One interactive car lives through all of these tests. Each begins with its power cycle, which is also the proof that
 the one before has been recovered from, and ends with a car at rest that does not set off again; or what it does is
-nothing to the car, which drives on into the next test.
+nothing to the car, which drives on into the next test. Those go first: power-up and drive cost most of a test.
 """
 
 from __future__ import annotations
@@ -86,6 +86,33 @@ def comes_to_rest(chain: Chain, *states: AsState) -> None:
     while time.monotonic() < until:
         chain.operator.spin()
     assert chain.state.as_state in states, chain.operator.describe()
+
+
+# ---------------------------------------------------------------- nothing to the car
+
+
+@pytest.mark.skipif(os.environ.get("FSAI_HIL_PLACE") != "uml", reason="it would step the clock of the whole machine")
+def test_a_car_drives_on_when_the_clock_is_stepped(chain: Chain, drive: BusWatch) -> None:
+    for step_s in (3600, -7200, 3600):
+        step_clock(step_s)
+        chain.drives_on(1.0)  # longer than any deadline of the table
+    rules_kept(drive)
+
+
+def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: BusWatch) -> None:
+    bridge = [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"]
+    # Nice: on one slow processor its import of ROS would keep the controller silent until the car stops.
+    second = chain.stack.start("second_bridge", ["nice", "-n", "19", *bridge])
+    try:
+        assert second.wait(START_S) != 0
+    finally:
+        second.stop()
+        del chain.stack.processes["second_bridge"]
+    lines = [line for line in second.log().splitlines() if not line.startswith("[INFO]")]
+    assert len(lines) == 1 and "already drives 'vcan0'" in lines[0], second.log()
+    chain.stack.check_alive(*NODES)
+    chain.operator.await_new_state(STOP_S, "the first bridge goes on")
+    chain.drives_on()
 
 
 # ---------------------------------------------------------------- processes
@@ -186,6 +213,7 @@ def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: BusWatch) ->
     rules_kept(drive)
 
 
+@long  # what every run shows of it: the drive of `python -m fsai_hil.rehearsal.carpc --short`
 def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: BusWatch) -> None:
     """The loop brakes the car to rest, says FINISHED, and ends; the next bridge may start."""
     loop = chain.pids["CAN loop"]
@@ -228,30 +256,6 @@ def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, drive: 
 
 
 # ---------------------------------------------------------------- the bus
-
-
-@pytest.mark.skipif(os.environ.get("FSAI_HIL_PLACE") != "uml", reason="it would step the clock of the whole machine")
-def test_a_car_drives_on_when_the_clock_is_stepped(chain: Chain, drive: BusWatch) -> None:
-    for step_s in (3600, -7200, 3600):
-        step_clock(step_s)
-        chain.drives_on(1.0)  # longer than any deadline of the table
-    rules_kept(drive)
-
-
-def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: BusWatch) -> None:
-    bridge = [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"]
-    # Nice: on one slow processor its import of ROS would keep the controller silent until the car stops.
-    second = chain.stack.start("second_bridge", ["nice", "-n", "19", *bridge])
-    try:
-        assert second.wait(START_S) != 0
-    finally:
-        second.stop()
-        del chain.stack.processes["second_bridge"]
-    lines = [line for line in second.log().splitlines() if not line.startswith("[INFO]")]
-    assert len(lines) == 1 and "already drives 'vcan0'" in lines[0], second.log()
-    chain.stack.check_alive(*NODES)
-    chain.operator.await_new_state(STOP_S, "the first bridge goes on")
-    chain.drives_on()
 
 
 def test_a_foreign_0x511_is_an_emergency(chain: Chain, drive: BusWatch, interface: str) -> None:
