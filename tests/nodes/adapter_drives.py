@@ -1,6 +1,6 @@
 """Each preset of ackermann_adapter with a stand-in of that team's stack drives to AS_FINISHED. Run by `make adapters`.
 
-Each takes a minute, so they are not among the tests that pytest finds by itself.
+Each takes a minute, so they are not among the tests that pytest finds by itself; scripts/test names one.
 """
 
 from __future__ import annotations

@@ -70,15 +70,7 @@ DISPLACED = replace(skidpad_track(), car_start=Pose(-15.0 - NOSE_M - 2.8, 0.0, 0
     [
         (WorldSetup(missions=[Ami.ACCELERATION, Ami.STATIC_INSPECTION_B]), confident, (), 1),
         (WorldSetup(missions=[Ami.STATIC_INSPECTION_A, Ami.AUTONOMOUS_DEMO], revision="2021"), confident, (), 0),
-        pytest.param(  # in short: core/test_missions_skidpad.py, and the lost car of test_lost.py
-            *(
-                WorldSetup(missions=[Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False),
-                colourless,
-                (drifting,),
-                0,
-            ),
-            marks=pytest.mark.long,
-        ),
+        (WorldSetup(missions=[Ami.SKIDPAD], track=DISPLACED, revision="2021", gps=False), colourless, (drifting,), 0),
         pytest.param(oval(), confident, (), 0, marks=pytest.mark.long),  # on vcan0, and with examples/, it is driven
         pytest.param(
             *(oval(missions=[Ami.TRACKDRIVE], track=without_gate(), laps=2, revision="2021"), unsure, (), 0),
