@@ -156,10 +156,13 @@ class LapStrategy:
                     self._missions.lap_min_m,
                 )
         self._state = advance_laps(self._state, motion, self._missions.lap_min_m)
-        if self._finished_at_m is None and self._state.laps >= self._laps:
+        if self._state.laps < self._laps:
+            self._finished_at_m = None
+        elif self._finished_at_m is None:
             self._finished_at_m = motion.distance_m
-            # Comfortable from any speed, within what the rules allow.
-            needed = braking_m(motion.speed_mps, LAP_BRAKING_MPS2)
+            # Comfortable from any speed, within what the rules allow. A gate that is due may still come into sight.
+            due = self._state.line.seen and not self._state.sighted
+            needed = math.inf if due else braking_m(motion.speed_mps, LAP_BRAKING_MPS2)
             self._stop_m = min(max(self._missions.lap_stop_m, needed), self._missions.lap_stop_max_m)
 
 

@@ -74,6 +74,7 @@ class Racing:
     def close(self, state: LapState, motion: Motion) -> LapState:
         """Close the map once a lap is behind the car, and put the line back where it was when the lap began."""
         passages = self._passages
+        del passages[state.passages :]  # one may have been taken back
         if state.passages > len(passages):
             passages.append(state)
         if self._map.closed or len(passages) < 2:
