@@ -137,7 +137,7 @@ def _beside(path: Path, source: str) -> Mapping[Any, Any]:
         why = getattr(error, "strerror", None) or "not a text file"
         raise TrackError(f"{source}: {path.name}, which belongs to it, cannot be read: {why}") from None
     if not isinstance(found, Mapping):
-        raise TrackError(f"{path}: not laid out as StarkStrom has it")
+        raise TrackError(f"{path}: not laid out as YAML of StarkStrom is")
     return found
 
 
@@ -182,14 +182,14 @@ def _mapping_rows(read: Callable[[str, str], Any], text: str, source: str) -> It
                 form = CONES_BY_NUMBER
         if form is None or form.rows is None:
             known = [f"{each.name} ({', '.join(each.keys)})" for each in FORMATS if each.keys]
-            raise TrackError(f"{source}: neither a track of {', '.join(known[:-1])} nor of {known[-1]}")
+            raise TrackError(f"{source}: neither {', '.join(known[:-1])} nor {known[-1]}")
         yield from form.rows(found, source)
     except RecursionError:
         raise TrackError(f"{source}: its lists are too deep in one another") from None
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, TrackError) or form is None:
             raise
-        raise TrackError(f"{source}: not laid out as {form.name} has it: {repr(error)[:200]}") from None
+        raise TrackError(f"{source}: not laid out as {form.name} is: {repr(error)[:200]}") from None
 
 
 def _json_of(text: str, source: str) -> Any:
