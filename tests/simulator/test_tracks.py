@@ -302,7 +302,11 @@ def fssim(track: Track) -> dict[str, object]:
     colors = {"cones_left": ConeColor.BLUE, "cones_right": ConeColor.YELLOW, "cones_orange_big": ConeColor.BIG_ORANGE}
     lists: dict[str, object] = {name: cones(track, color) for name, color in colors.items()}
     nose = Pose(-8.0, 0.1, 0.02).ahead(ADS_DV_2026.nose_ahead_of_rear_axle_m)
-    return lists | {"cones_orange": [], "starting_pose_front_wing": [*nose, 0.02], "tk_device": [[0.5, 3.0], [0.5, -3.0]]}
+    return lists | {
+        "cones_orange": [],
+        "starting_pose_front_wing": [*nose, 0.02],
+        "tk_device": [[0.5, 3.0], [0.5, -3.0]],
+    }
 
 
 @pytest.mark.parametrize("layout", [pacsim, fssim])

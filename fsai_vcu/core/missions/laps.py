@@ -3,8 +3,8 @@
 The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead.
 Both lines are defined here, for the judge of the simulation too.
 Seeing the gate again corrects the line, so that odometry may drift by metres in a lap; without a gate the
-line is laid anew where the car passes it, so that only one lap's drift matters. A passage that only odometry has told is
-taken back where the gate then comes into sight ahead of the car.
+line is laid anew where the car passes it, so that only one lap's drift matters. A passage that only odometry has told
+is taken back where the gate then comes into sight ahead of the car.
 """
 
 from __future__ import annotations
@@ -105,10 +105,10 @@ def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: M
         if math.hypot(x_m - line.x_m, y_m - line.y_m) > line.shifted_m(motion):
             return state
     gate = Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m)
-    if not state.sighted and gate.position_of(motion)[0] < -BEFORE_M:
-        # The first line of all was a guess where no gate was in sight; another one was off by odometry's drift.
-        if since_m < line.shifted_m(motion) if line.seen else state.passages == 1:
-            return LapState(gate, state.passages - 1, passed_at_m=state.before_m)
+    # The first line of all was a guess where no gate was in sight; another one may have been off by odometry's drift.
+    wrong = since_m < line.shifted_m(motion) if line.seen else state.passages == 1
+    if wrong and not state.sighted and gate.position_of(motion)[0] < -BEFORE_M:
+        return LapState(gate, state.passages - 1, passed_at_m=state.before_m)
     if since_m < 0.5 * lap_min_m:
         return state  # just passed: what is in sight now may be the rest of the same gate
     return replace(state, line=gate)

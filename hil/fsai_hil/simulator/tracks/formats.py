@@ -1,8 +1,9 @@
 """The formats of track files: how each is recognised by its content, and what reads it.
 
-A new format is one row of FORMATS, with its reader above it. A reader yields rows: where each stands, its tag, and x, y and
-perhaps the direction, in metres and rad, x forward or east, y left or north. Tags: blue (left border), yellow (right
-border), orange, big_orange (gates), unknown; car_start, with the yaw at the rear axle; timekeeping, a post of the timing.
+A new format is one row of FORMATS, with its reader above it. A reader yields rows: where each stands, its tag, and x, y
+and perhaps the direction, in metres and rad, x forward or east, y left or north. Tags: blue (left border), yellow
+(right border), orange, big_orange (gates), unknown; car_start, with the yaw at the rear axle; timekeeping, a post of
+the timing.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ class Format:
     header: tuple[str, ...] = ()
     columns: tuple[int, ...] = ()  # of a table's row that hold x, y and perhaps the direction
     keys: tuple[str, ...] = ()
-    rows: Callable[[Mapping[Any, Any], str], Iterator[Row]] | None = None  # of a mapping and what messages call the file
+    rows: Callable[[Mapping[Any, Any], str], Iterator[Row]] | None = (
+        None  # of a mapping and what messages call the file
+    )
 
 
 # ---------------------------------------------------------------- mappings
@@ -81,7 +84,7 @@ def _fssim_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
 
 
 def _layout_merchant_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
-    """layout-merchant: columns of cones with the number of their colour; start and timing line with angles in degrees."""
+    """layout-merchant: columns of cones with the number of their colour; start and timing line, angles in degrees."""
     columns = [found[name] for name in ("x", "y", "color")]
     if len({len(column) for column in columns}) > 1:
         raise TrackError(f"{source}: x, y and color have {', '.join(str(len(column)) for column in columns)} entries")
@@ -110,7 +113,9 @@ def _starkstrom_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """StarkStrom: the numbers of the cones along each border; where they are stands in a file beside."""
     path = Path(source)
     if BOUNDARIES not in path.name:
-        raise TrackError(f"{source}: borders by the numbers of cones, but not named {BOUNDARIES}_N.yaml beside {CONE_MAP}_N.yaml")
+        raise TrackError(
+            f"{source}: borders by the numbers of cones, but not named {BOUNDARIES}_N.yaml beside {CONE_MAP}_N.yaml"
+        )
     beside = path.with_name(path.name.replace(BOUNDARIES, CONE_MAP))
     cones = _beside(beside, source)
     for side, tag in (("left", "blue"), ("right", "yellow")):

@@ -60,7 +60,8 @@ KIND_IS: Final[Mapping[TrackKind, str]] = {
     TrackKind.STATIC: "no cones",
     TrackKind.ACCELERATION: "a straight between two gates of big orange cones, or between two pairs of timing posts",
     TrackKind.SKIDPAD: (
-        f"two whole rings of cones {SKIDPAD_INNER_DIAMETER_M:g} m wide, their middles {SKIDPAD_CENTRES_APART_M:g} m apart"
+        f"two whole rings of cones {SKIDPAD_INNER_DIAMETER_M:g} m wide, "
+        f"their middles {SKIDPAD_CENTRES_APART_M:g} m apart"
     ),
     TrackKind.CIRCUIT: "a lane between blue and yellow cones",
 }

@@ -1,8 +1,8 @@
 """What the cones of a file make: the kind of track, its line, where the car is staged, and the borders.
 
-The line is at the posts of the file's timing; else at its gate of big orange cones; else where the planner lays it, so far
-ahead of the staged car. That of a skidpad is between its two rings. The car is staged at the file's car_start where its
-nose stands before the line there, else as the rules stage it. The borders are found by walking the lane.
+The line is at the posts of the file's timing; else at its gate of big orange cones; else where the planner lays it, so
+far ahead of the staged car. That of a skidpad is between its two rings. The car is staged at the file's car_start where
+its nose stands before the line there, else as the rules stage it. The borders are found by walking the lane.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ GATE_BEHIND_M: Final = 15.0  # further behind the car, a gate is not the one tha
 UNMARKED: Final = f"{BEFORE_M:.1f} m ahead of where the car starts, as no gate and no timing posts mark it"
 FIRST_PAIR: Final = "its first pair of cones, as no gate and no timing posts mark it"
 RING_M: Final = SKIDPAD_INNER_DIAMETER_M / 2.0
-# A ring of a skidpad: its neighbours at most so far apart, its cones so near its circle, its radius and that between the
-# two so near the rules', no part of it without cones wider than that.
+# A ring of a skidpad: its neighbours at most so far apart, its cones so near its circle, its radius and the distance
+# of the two so near to the rules', no part of it without cones wider than that.
 RING_NEXT_M, RING_NEAR_M, RING_WRONG_M, RINGS_WRONG_M, RING_GAP_RAD = 6.5, 0.5, 0.6, 1.0, math.radians(80.0)
 RING_CONES, RING_GUESSES = 6, 20_000  # fewer make no ring; more guesses than a skidpad gives are of no skidpad
 
@@ -62,8 +62,8 @@ Told = Callable[[str], None]  # takes what a person should know of the file
 def laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> Track:
     """The track with its kind, lines and borders, and where the car is staged.
 
-    `start` is the file's car_start, `posts_m` (N, 2) are its timing posts. Raises TrackError where nobody knows which way
-    the car goes.
+    `start` is the file's car_start, `posts_m` (N, 2) are its timing posts. Raises TrackError where nobody knows which
+    way the car goes.
     """
     if (middle := _between_rings(track.cones_xy_m)) is not None:
         return _with_skidpad(track, middle, start, told)
@@ -116,7 +116,7 @@ def _on_or_past(past_m: float) -> str:
 
 
 def _beginning(track: Track, lines: Sequence[Floats]) -> Pose:
-    """Where the lane begins in a file that does not say where the car starts: at the first line, else the first cones."""
+    """The lane's beginning in a file that does not say where the car starts: the first line, else the first cones."""
     blue, yellow = (track.cones_xy_m[track.cone_colors == color] for color in (ConeColor.BLUE, ConeColor.YELLOW))
     if min(len(blue), len(yellow)) == 0:
         raise TrackError(f"{track.source}: no car_start, so nobody knows where the car begins and which way it points")
@@ -254,7 +254,7 @@ def _walked(track: Track, axis: Pose) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _between_rings(xy_m: Floats) -> Pose | None:
-    """The middle between the two inner rings of a skidpad, square to them, whatever their colours; None if there are none."""
+    """The middle between a skidpad's two inner rings, square to them, whatever their colours; None without any."""
     best: tuple[float, complex, complex] | None = None
     for one, other in combinations(_ring_centres(xy_m), 2):
         wrong_m = abs(abs(one - other) - SKIDPAD_CENTRES_APART_M)
@@ -319,9 +319,7 @@ def _with_skidpad(track: Track, middle: Pose, start: Pose | None, told: Told) ->
     assert ideal.centreline_m is not None  # skidpad_track always has one
     route = as_array([origin.ahead(float(x), float(y)) for x, y in ideal.centreline_m])
     lane = tuple(tuple(tuple(origin.ahead(x, y) for x, y in ring) for ring in rings) for rings in ideal.lane)
-    found = with_line(
-        replace(track, kind=TrackKind.SKIDPAD, centreline_m=route, lane=lane), origin, BETWEEN_RINGS
-    )
+    found = with_line(replace(track, kind=TrackKind.SKIDPAD, centreline_m=route, lane=lane), origin, BETWEEN_RINGS)
     return _started(found, start, told)
 
 
@@ -331,7 +329,9 @@ def _way_in(track: Track, middle: Pose) -> float:
     Where it is not, the left ring is the blue one.
     """
     ahead_m, left_m = middle.seen(*track.cones_xy_m.T)
-    closing = (track.cone_colors == ConeColor.ORANGE) & (np.abs(left_m) < LANE_M / 2.0 - 0.2) & (np.abs(ahead_m) > RING_M)
+    closing = (
+        (track.cone_colors == ConeColor.ORANGE) & (np.abs(left_m) < LANE_M / 2.0 - 0.2) & (np.abs(ahead_m) > RING_M)
+    )
     if closing.any():
         return float(ahead_m[closing].mean())
     x, y = middle.ahead(0.0, SKIDPAD_CENTRES_APART_M / 2.0)
