@@ -23,6 +23,7 @@ Bools = NDArray[np.bool_]
 
 NEAR_M = 25.0  # cones further from the car cannot be seen
 RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not one that is in sight now
+LATELY_M = 54.0  # of way: cones seen for the first time in it tell where in the map the car is
 VIEW_M = 14.0  # cones come into view about this far ahead
 BELIEVED_HITS = 3.0
 AVERAGE_OVER = 20.0  # sightings in a cone's mean
@@ -132,10 +133,11 @@ class ConeMap:
         """
         self._cones = self._cones[self._cones["last_m"] > begun_m - RECENT_M]
         cones, here = self._cones, self.here
-        old = self._believed & (cones["first_m"] < begun_m + RECENT_M)
+        old = self._believed & (cones["first_m"] < begun_m + max(RECENT_M, here.distance_m - ended_m))
         again = self._believed & (cones["first_m"] > ended_m - VIEW_M) & ~old
+        lately = again & (cones["first_m"] > here.distance_m - LATELY_M)
         guess = replace(here, x_m=here.x_m + drift_m[0], y_m=here.y_m + drift_m[1])
-        found = located(guess, doubt_m, to_vehicle(here, cones["xy"][again]), cones["xy"][old])
+        found = located(guess, doubt_m, to_vehicle(here, cones["xy"][lately]), cones["xy"][old])
         if found is None:
             return False
         driven = self._spread(found, begun_m)
