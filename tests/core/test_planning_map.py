@@ -223,7 +223,10 @@ def test_a_lap_that_begins_in_a_long_even_straight_is_closed_behind_it(
 
 def test_a_lap_that_cannot_be_closed_is_said() -> None:
     """On a circle that is evenly set with cones no place is another than the next."""
-    ride = Laps(stadium(0.0, 25.0, 4.5))
+    track, angle = stadium(0.0, 25.0, 4.5), np.linspace(0.0, 2.0 * math.pi, 36, endpoint=False)
+    rings = [r * np.column_stack([np.sin(angle), np.cos(angle)]) + (0.0, 25.0) for r in (23.25, 26.75)]
+    colors = np.repeat([int(ConeColor.BLUE), int(ConeColor.YELLOW)], 36)
+    ride = Laps(replace(track, cones_xy_m=np.vstack(rings), cone_colors=colors))
     ride.drive(ride.track.length_m + 60.0)
     assert ride.state.laps == 1 and ride.racing.note == ""
     ride.drive(40.0)
