@@ -23,7 +23,8 @@ HORIZON_M = 70.0  # of the path handed on
 CLOSING_M, CLOSING_MOST_M = (10.0, 40.0), 120.0
 UNCLOSED = "no race: the cones at the lap's end do not tell where its beginning was"
 SEARCH_EVERY_M = 2.0
-GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
+GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate …
+LAP_DOUBT = 0.03  # … and else, by a lap's way
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 ON_LINE = "a cone stands on the race line"
 STEADY = 10  # observations in a row that allow the line before it is joined
@@ -90,7 +91,7 @@ class Racing:
         self._unclosed = UNCLOSED if beyond_m >= most_m else ""
         if not CLOSING_M[0] < beyond_m < most_m or not self._may_search(motion):
             return state
-        drift, doubt_m = (0.0, 0.0), LOST_M
+        drift, doubt_m = (0.0, 0.0), max(LOST_M, LAP_DOUBT * (ended.passed_at_m - begun.passed_at_m))
         if begun.sighted and ended.sighted:
             drift, doubt_m = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m), GATE_DOUBT_M
         if not self._map.close(begun.passed_at_m, ended.passed_at_m, drift, doubt_m):
