@@ -20,6 +20,7 @@ from fsai_vcu.core.planning.cone_map import SHARED_M, ConeMap, fit_of, located
 from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.planning.racing import Racing
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.interface.enums import Ami
 
 CIRCUIT = random_circuit(1)
 
@@ -231,3 +232,15 @@ def test_a_lap_that_cannot_be_closed_is_said() -> None:
     assert ride.state.laps == 1 and ride.racing.note == ""
     ride.drive(40.0)
     assert not ride.racing.located and ride.racing.note.startswith("no race: ")
+
+
+@pytest.mark.parametrize("off_m", [(0.0, 0.0), (7.5, -7.0), (-10.0, 3.0), (1.0, 10.5)])
+def test_the_car_is_found_as_far_off_as_it_is_in_doubt(off_m: tuple[float, float]) -> None:
+    at = CIRCUIT.staging(Ami.TRACKDRIVE, CAR.nose_ahead_of_rear_axle_m)
+    around = np.array(CIRCUIT.cones_xy_m[np.hypot(*(CIRCUIT.cones_xy_m - (at.x_m, at.y_m)).T) < 40.0])
+    ahead, left = at.seen(*around.T)
+    seen = np.column_stack((ahead, left))[(ahead > 0.0) & (ahead < 30.0)]
+    guess = Motion(x_m=at.x_m + off_m[0], y_m=at.y_m + off_m[1], yaw_rad=at.yaw_rad + 0.1)
+    found = located(guess, 12.0, seen, around)
+    assert found is not None
+    assert (found.x_m, found.y_m, found.yaw_rad) == pytest.approx((at.x_m, at.y_m, at.yaw_rad), abs=0.05)
