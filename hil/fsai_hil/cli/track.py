@@ -7,13 +7,15 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import fill
 from typing import Final
 
 import numpy as np
 
 from fsai_hil.simulator.car import Pose
-from fsai_hil.simulator.tracks import NAMES, STYLES, Track, TrackKind, as_csv, load_track
+from fsai_hil.simulator.tracks import FILES, NAMES, STYLES, Track, TrackKind, as_csv, load_track
 from fsai_hil.simulator.tracks.layout import NOSE_M
+from fsai_hil.simulator.tracks.walking import BEFORE_M
 from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import resampled_ring
@@ -23,16 +25,15 @@ from fsai_vcu.printable import drawn
 STEP_M: Final = 0.25
 OVER: Final = 8  # steps to either side, of which a bend is made: cones of a file do not stand on a smooth curve
 EXAMPLE = "fsai-vcu track --seed 7 -o seven.csv --plot seven.png\n  fsai-vcu track small_oval"
-ABOUT = """\
+ABOUT = f"""\
 The rules: a lane of 3 m or more, straights of 80 m or less, turns of 50 m outside
 diameter or less, hairpins of 9 m or more, cones at most 5 m apart, a lap of 200 to
 500 m. Styles: mixed, open (wide turns), tight (hairpins from 9 m: tighter than a
 car with 21 deg of steering can turn). drive --track takes what is named here.
-Files: CSV of EUFS, FSDS and EPFL, YAML of PacSim, fssim and StarkStrom (needs
-PyYAML), JSON of layout-merchant. The line is at the file's timing posts, else at
-its gate of big orange cones, else 8.2 m ahead of the staged car; a skidpad's is
-between its rings. The car starts at the file's car_start, unless its nose is on
-or past the line there."""
+{fill(f"Files: {FILES} (YAML needs PyYAML).", 82)}
+The line is at the file's timing posts, else at its gate of big orange cones, else
+{BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between its rings. The car starts
+at the file's car_start, unless its nose is on or past the line there."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
