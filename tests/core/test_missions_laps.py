@@ -119,7 +119,7 @@ def along(state: LapState, start_m: float, end_m: float, lap_m: float) -> LapSta
 
 
 @pytest.mark.parametrize("early_m", [1.0, 5.0, 13.0, 25.0, 40.0])
-def test_a_passage_that_odometry_tells_too_early_is_taken_back_when_the_gate_comes_into_sight(early_m: float) -> None:
+def test_a_passage_told_early_is_taken_back_at_sight_of_the_gate(early_m: float) -> None:
     state = along(sighted_start(), 488.0, 508.0 + max(0.0, early_m - 11.0), 500.0)
     assert (state.passages, state.sighted) == (2, False)
     at_m = 508.0 + max(0.0, early_m - 11.0)
@@ -139,7 +139,7 @@ def test_a_lap_that_was_driven_is_not_taken_back_a_lap_later() -> None:
 
 
 @pytest.mark.parametrize("way_m", [10.0, 40.0, 500.0])
-def test_the_first_gate_in_sight_is_the_line_however_far_the_car_has_come(way_m: float) -> None:
+def test_the_first_gate_in_sight_is_the_line_however_late(way_m: float) -> None:
     """Where it began, the gate was round a bend, or behind it."""
     state = straight_to(staged(Motion(), 8.0), 0.0, way_m)
     assert state.passages == 1

@@ -209,7 +209,7 @@ class Laps(Mapping):
 @pytest.mark.parametrize(
     ("straight_m", "radius_m", "apart_m"), [(60.0, 10.0, 3.0), (75.0, 10.0, 3.0), (75.0, 10.0, 4.5), (78.0, 9.0, 2.5)]
 )
-def test_a_lap_that_begins_in_a_long_even_straight_is_closed_behind_it(
+def test_a_lap_begun_in_an_even_straight_is_closed_behind_it(
     straight_m: float, radius_m: float, apart_m: float
 ) -> None:
     """A cone further on the cones of the straight fit as well: what comes behind it tells where the car is."""

@@ -74,7 +74,7 @@ def test_a_track_of_another_program_is_read_as_it_is(written: Callable[[Path], P
     assert astuple(again.staging(Ami.AUTOCROSS, 2.17)) == astuple(found.staging(Ami.AUTOCROSS, 2.17))
 
 
-def test_layout_merchants_start_and_timing_line_are_where_it_has_them(tmp_path: Path) -> None:
+def test_layout_merchants_start_and_line_are_where_it_has_them(tmp_path: Path) -> None:
     found = load_track(layout_merchant(tmp_path))
     assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx(astuple(START))
     assert found.start_line is not None and "timing posts" in found.line_by

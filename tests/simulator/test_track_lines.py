@@ -56,7 +56,7 @@ def nose_before_m(track: Track, mission: Ami) -> float:
 
 
 @pytest.mark.parametrize("past_m", [0.0, 0.4, NOSE_M, 5.0, 15.0, 40.0])
-def test_a_car_start_on_or_past_the_line_is_staged_before_it_and_it_is_said(
+def test_a_car_start_on_the_line_is_staged_before_it_and_said(
     past_m: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = parse_track(as_csv(small_oval(), on_lane(small_oval(), past_m)), "loop.csv")

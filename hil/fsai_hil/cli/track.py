@@ -121,6 +121,7 @@ def _draw(track: Track, path: Path) -> None:
         start = track.staging(_mission(track), NOSE_M)
         for box, name in zip(car_outline(start, 0.0), ("car at the start", *[None] * 4), strict=True):
             plan.plot(*np.vstack([box, box[:1]]).T, color="#203864", linewidth=0.8, label=name)
+        plan.annotate("", start.ahead(NOSE_M + 4.0), start.ahead(NOSE_M), arrowprops={"arrowstyle": "->"})
         plan.legend(loc="best")
     plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=drawn(next(_facts(track))))
     try:
