@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -43,5 +44,6 @@ def test_what_is_not_as_the_file_has_it_is_a_warning(tmp_path: Path, capsys: pyt
     assert main(["track", str(on_line), "--plot", str(picture)]) == 0
     said = capsys.readouterr()
     assert "m past the line: the car is staged 6 m before it" in said.err
-    assert "its gate of 4 big orange cones" in said.out and "its nose 6.0 m before the line" in said.out
+    assert "its gate of 4 big orange cones" in said.out
+    assert re.search(r"its nose (5\.[89]|6\.[0-2]) m before the line", said.out)
     assert picture.stat().st_size > 1000

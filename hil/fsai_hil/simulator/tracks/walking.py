@@ -43,6 +43,7 @@ from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
 
 GATE_M, POSTS_M = 8.0, 15.0  # no two cones, no two posts of one line stand further apart, be it across the lane
+ACROSS_M = 15.0  # no two cones across the lane stand further apart
 OFF_LANE_M = 6.0  # further from the lane's middle, what is between them is no line of it
 TOUCHING_M = 0.05  # a nose so near before the line is not before it
 BEFORE_M: Final = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS] + NOSE_M  # where the rules stage the rear axle on a circuit
@@ -380,6 +381,8 @@ def _walk(xy: Floats, sides: Ints, axis: Pose) -> tuple[Floats, Floats, Floats] 
     walked = [before]
     while edge != walked[0]:
         walked.append(edge)
+        if math.dist(xy[edge[0]], xy[edge[1]]) > ACROSS_M:
+            return None  # over the end of an open lane, to its beginning
         further = [other for other in onward[edge] if other != before]
         if not further:
             return None
