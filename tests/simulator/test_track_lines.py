@@ -108,6 +108,18 @@ def test_timing_posts_are_the_line_where_there_is_no_gate(at_m: float, posts: fl
     )
 
 
+@pytest.mark.parametrize(("before_m", "stays"), [(1.0, False), (4.7, True), (6.0, True), (7.3, True), (25.0, False)])
+def test_a_line_that_no_gate_shows_is_as_far_as_by_the_rules(
+    before_m: float, stays: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A planner that sees no gate takes the line to be where the rules have it from the staged car."""
+    start = on_lane(small_oval(), -before_m)
+    text = as_csv(without(small_oval(), GATE), start) + "timekeeping,0,3\ntimekeeping,0,-3\n"
+    found = parse_track(text, "loop.csv")
+    assert nose_before_m(found, Ami.AUTOCROSS) == pytest.approx(before_m if stays else 6.0, abs=0.3)
+    assert ("which no gate shows to the car" in capsys.readouterr().err) is not stays
+
+
 def test_posts_far_from_the_gate_are_said(capsys: pytest.CaptureFixture[str]) -> None:
     text = as_csv(small_oval(), on_lane(small_oval(), -8.0)) + "timekeeping,8,3\ntimekeeping,8,-3\n"
     assert "timing posts" in parse_track(text, "loop.csv").line_by

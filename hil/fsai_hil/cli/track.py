@@ -77,9 +77,9 @@ def _facts(track: Track) -> Iterator[str]:
     yield f"cones: {', '.join(f'{count} {color}' for color, count in colors.most_common()) or 'none'}"
     if line := track.start_line:
         way = f"crossed towards {math.degrees(line.yaw_rad):.0f} deg"
-        yield f"start line: {line.x_m:.2f}, {line.y_m:.2f} m, {way}: {track.line_by}"
+        yield f"start line: {_at(line)}, {way}: {track.line_by}"
         start = track.staging(_mission(track), NOSE_M)
-        yield f"car: {start.x_m:.2f}, {start.y_m:.2f} m, its nose {_before_m(track, line, start):.1f} m before the line"
+        yield f"car: {_at(start)}, its nose {_before_m(track, line, start):.1f} m before the line"
     if not track.closed or track.centreline_m is None:
         return
     middle = resampled_ring(track.centreline_m, STEP_M)
@@ -92,6 +92,11 @@ def _facts(track: Track) -> Iterator[str]:
     ]
     width = sum(np.hypot(*(middle[:, None] - side[None]).T).min(axis=0) for side in sides)
     yield f"lane: {np.min(width):.1f} to {np.max(width):.1f} m wide"
+
+
+def _at(pose: Pose) -> str:
+    x_m, y_m = (round(value, 2) + 0.0 for value in (pose.x_m, pose.y_m))  # -0.0 is 0
+    return f"{x_m:.2f}, {y_m:.2f} m"
 
 
 def _before_m(track: Track, line: Pose, start: Pose) -> float:

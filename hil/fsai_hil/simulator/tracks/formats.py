@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsai_hil.simulator.car import Pose
-from fsai_hil.simulator.tracks.layout import NOSE_M, TrackError
+from fsai_hil.simulator.tracks.layout import LANE_M, NOSE_M, TrackError
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.files import TRACK_BYTES, read_named
 
@@ -90,14 +90,14 @@ def _layout_merchant_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row
         raise TrackError(f"{source}: x, y and color have {', '.join(str(len(column)) for column in columns)} entries")
     for number, (x, y, color) in enumerate(zip(*columns, strict=True), 1):
         at = f"{source}: cone {number}"
-        if type(color) is not int or not 0 <= color < len(LAYOUT_MERCHANT_COLORS):
+        if color not in range(len(LAYOUT_MERCHANT_COLORS)):
             raise TrackError(f"{at}: color is {shown(color)}, not 0 to {len(LAYOUT_MERCHANT_COLORS) - 1}")
-        yield at, LAYOUT_MERCHANT_COLORS[color], [x, y]
+        yield at, LAYOUT_MERCHANT_COLORS[int(color)], [x, y]
     if "start_position" in found:
         yield f"{source}: start", "car_start", _turned(found, "start", source)
     if "timing_line_position" in found:
         x, y, yaw_rad = _turned(found, "timing_line", source)
-        half_m = number_of([found["timing_line_width"]], 0, "timing_line_width", source) / 2.0
+        half_m = number_of([found.get("timing_line_width", LANE_M)], 0, "timing_line_width", source) / 2.0
         for side in (half_m, -half_m):
             yield f"{source}: timing_line", "timekeeping", Pose(x, y, yaw_rad).ahead(0.0, side)
 

@@ -46,6 +46,7 @@ GATE_M, POSTS_M = 8.0, 15.0  # no two cones, no two posts of one line stand furt
 ACROSS_M = 15.0  # no two cones across the lane stand further apart
 OFF_LANE_M = 6.0  # further from the lane's middle, what is between them is no line of it
 TOUCHING_M = 0.05  # a nose so near before the line is not before it
+UNSEEN_OFF_M = 1.5  # from where the rules stage it, a car at a line that no gate shows may stand further or less far
 BEFORE_M: Final = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS] + NOSE_M  # where the rules stage the rear axle on a circuit
 GATE_BEHIND_M: Final = 15.0  # further behind the car, a gate is not the one that it stands at
 UNMARKED: Final = f"{BEFORE_M:.1f} m ahead of where the car starts, as no gate and no timing posts mark it"
@@ -108,12 +109,15 @@ def _started(track: Track, start: Pose | None, told: Told) -> Track:
     past_m = -math.inf if start is None else float(line.seen(*start.ahead(NOSE_M))[0])
     if past_m <= -TOUCHING_M:
         return replace(track, car_start=start)
-    told(f"{_on_or_past(past_m)}: the car is staged as the rules have it")
+    told(f"{_before_or_past(past_m)}: the car is staged as the rules have it")
     return track
 
 
-def _on_or_past(past_m: float) -> str:
-    return "car_start has the car's nose " + (f"{past_m:.1f} m past the line" if past_m > TOUCHING_M else "on the line")
+def _before_or_past(past_m: float) -> str:
+    """Where the car's nose is at car_start, in words."""
+    side = "past" if past_m > 0.0 else "before"
+    where = "on the line" if abs(past_m) <= TOUCHING_M else f"{abs(past_m):.1f} m {side} the line"
+    return f"car_start has the car's nose {where}"
 
 
 def _beginning(track: Track, lines: Sequence[Floats]) -> Pose:
@@ -219,10 +223,13 @@ def _with_circuit(
     past_m = ((nose - index + count // 2) % count - count // 2) * step_m
     if start is not None and abs(past_m) < BEFORE_M:  # more exactly than by points of the line
         past_m = float(track.start_line.seen(*start.ahead(NOSE_M))[0])
-    if start is not None and past_m <= -TOUCHING_M:
+    staged_m = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS]
+    unseen = len(found) == 1 and TIMING_POSTS in by  # a planner takes it to be where the rules have it
+    if start is not None and past_m <= -TOUCHING_M and not (unseen and abs(past_m + staged_m) > UNSEEN_OFF_M):
         return replace(track, car_start=start)
     if start is not None:
-        told(f"{_on_or_past(past_m)}: the car is staged {STAGED_BEFORE_LINE_M[Ami.AUTOCROSS]:g} m before it")
+        seen = "" if past_m > -TOUCHING_M else ", which no gate shows to the car"
+        told(f"{_before_or_past(past_m)}{seen}: the car is staged {staged_m:g} m before it")
     return replace(track, car_start=_at(middle, -round(BEFORE_M / step_m)))
 
 
