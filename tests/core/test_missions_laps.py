@@ -140,7 +140,7 @@ def test_a_lap_that_was_driven_is_not_taken_back_a_lap_later() -> None:
 
 @pytest.mark.parametrize("way_m", [10.0, 40.0, 500.0])
 def test_the_first_gate_in_sight_is_the_line_however_late(way_m: float) -> None:
-    """Where it began, the gate was round a bend, or behind it."""
+    """The car began with the gate round a bend, or behind it."""
     state = straight_to(staged(Motion(), 8.0), 0.0, way_m)
     assert state.passages == 1
     state = gate_seen(state, way_m + 10.0, 0.0, 0.0, Motion(x_m=way_m, distance_m=way_m), LAP_MIN_M)

@@ -100,7 +100,7 @@ def _at(pose: Pose) -> str:
 
 
 def _before_m(track: Track, line: Pose, start: Pose) -> float:
-    """How far the nose of the car at `start` has to go to the line, along the lane where one is known."""
+    """The way of the nose of the car at `start` to the line, along the lane if one is known."""
     nose = start.ahead(NOSE_M)
     before_m = -float(line.seen(*nose)[0])
     if not track.closed or track.centreline_m is None or math.hypot(line.x_m - nose[0], line.y_m - nose[1]) < 10.0:

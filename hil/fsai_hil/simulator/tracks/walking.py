@@ -97,7 +97,7 @@ def laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> T
 
 
 def _marks(group: Floats, posts: bool) -> str:
-    """What a line is by."""
+    """The mark of a line, in words."""
     count = len(group)
     return f"{count} {TIMING_POSTS}" if posts else f"its gate of {count} big orange cone{'s' * (count > 1)}"
 
@@ -114,7 +114,7 @@ def _started(track: Track, start: Pose | None, told: Told) -> Track:
 
 
 def _before_or_past(past_m: float) -> str:
-    """Where the car's nose is at car_start, in words."""
+    """The place of the car's nose at car_start, in words."""
     side = "past" if past_m > 0.0 else "before"
     where = "on the line" if abs(past_m) <= TOUCHING_M else f"{abs(past_m):.1f} m {side} the line"
     return f"car_start has the car's nose {where}"
@@ -170,7 +170,7 @@ def _on(middle: Floats, x_m: float, y_m: float) -> int:
 
 
 def _staged_line(start: Pose) -> Pose:
-    """Where the planner lays the line of a staged car that sees no gate."""
+    """The line that the planner lays for a staged car that sees no gate."""
     line = staged(Motion(x_m=start.x_m, y_m=start.y_m, yaw_rad=start.yaw_rad), BEFORE_M).line
     return Pose(line.x_m, line.y_m, line.yaw_rad)
 
