@@ -45,7 +45,7 @@ class Line(Value, frozen=True):
     blind_m: float = 0.0  # way driven without seeing it, until it was laid there by odometry
 
     def shifted_m(self, motion: Motion) -> float:
-        """How far from where it is held to be it may come into sight, m: odometry drifts."""
+        """The distance from its place at which it may come into sight, m: odometry drifts."""
         return GATE_SHIFT_M + DRIFT_MAX * (self.blind_m + max(0.0, motion.distance_m - self.at_distance_m))
 
     def position_of(self, motion: Motion) -> tuple[float, float]:

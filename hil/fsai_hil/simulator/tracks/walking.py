@@ -1,4 +1,4 @@
-"""What the cones of a file make: the kind of track, its line, where the car is staged, and the borders.
+"""Kind, line, start and borders of a track, from the cones of a file.
 
 The line is at the posts of the file's timing; else at its gate of big orange cones; else where the planner lays it, so
 far ahead of the staged car. That of a skidpad is between its two rings. The car is staged at the file's car_start where
