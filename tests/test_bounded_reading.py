@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import os
 import pickle
 import random
@@ -49,6 +50,7 @@ LIMITS = "max_speed_mps = 5.0\nmax_axle_torque_nm = 100\n"
 CSV = "tag,x,y,direction\n" + "".join(f"blue,{x},1.5,0\nyellow,{x},-1.5,0\n" for x in range(40)) + "car_start,0,0,0\n"
 YAML = "track:\n  left:\n" + "".join(f"  - {{class: blue, position: [{x}.0, 1.5, 0.0]}}\n" for x in range(20))
 YAML += "  right:\n" + "".join(f"  - {{class: yellow, position: [{x}.0, -1.5, 0.0]}}\n" for x in range(20))
+JSON = json.dumps({"x": [*range(40)] * 2, "y": [1.5] * 40 + [-1.5] * 40, "color": [2] * 40 + [1] * 40})
 
 
 def in_little_memory(work: Callable[[], Any]) -> Any:
@@ -287,6 +289,8 @@ TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
     "deep lists": ("yaml", lambda: "track: " + "[" * 100_000),
     "a number of base 60": ("yaml", lambda: "track: {left: [{class: blue, position: [" + ":1" * 200_000 + "]}]}"),
     "digits": ("yaml", lambda: "cones_left: [[" + "9" * 500_000 + ", 1]]"),
+    "deep lists of JSON": ("json", lambda: '{"x": ' + "[" * 100_000),
+    "digits of JSON": ("json", lambda: '{"x": [' + "9" * 500_000 + '], "y": [1], "color": [1]}'),
     "digits of a cone": ("csv", lambda: "tag,x,y\nblue," + "9" * 500_000 + ",1\n"),
     "many cones": ("csv", lambda: "tag,x,y\n" + "blue,1,1\n" * 100_000),
     "many names": ("csv", lambda: "tag,x,y\n" + "".join(f"{'n' * 50}{n},1,1\n" for n in range(15_000))),
@@ -336,6 +340,7 @@ TABLES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
 }
 READERS: dict[str, tuple[Callable[[Path], object], ...]] = {
     "yaml": (load_track,),
+    "json": (load_track,),
     "csv": (load_track,),
     "dbc": (lambda path: load_databases([path]), lambda path: load_database([path])),
     "kcd": (lambda path: load_databases([path]),),
@@ -384,6 +389,7 @@ PLAIN: dict[str, tuple[str, bytes]] = {
     "limits": ("toml", LIMITS.encode()),
     "CSV": ("csv", CSV.encode()),
     "YAML": ("yaml", YAML.encode()),
+    "JSON": ("json", JSON.encode()),
 }
 
 

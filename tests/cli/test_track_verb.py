@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
-from fsai_hil.simulator.tracks import load_track
+from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.tracks import as_csv, load_track
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
 
@@ -28,7 +30,20 @@ def test_a_track_is_described_in_figures(capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out.splitlines() == [
         "small_oval: circuit, 103 m",
         "cones: 29 yellow, 22 blue, 4 big_orange",
-        "start line: 0.00, 0.00 m, crossed towards 0 deg",
+        "start line: 0.00, 0.00 m, crossed towards 0 deg: its gate of big orange cones",
+        "car: -8.17, 0.00 m, its nose 6.0 m before the line",
         "tightest radius of the middle of the lane: 10.0 m",
         "lane: 3.5 to 3.5 m wide",
     ]
+
+
+def test_what_is_not_as_the_file_has_it_is_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = load_track("small_oval")
+    on_line, picture = tmp_path / "on_line.csv", tmp_path / "on_line.png"
+    on_line.write_text(as_csv(made, Pose(0.0, 0.0, 0.0)))
+    assert main(["track", str(on_line), "--plot", str(picture)]) == 0
+    said = capsys.readouterr()
+    assert "m past the line: the car is staged 6 m before it" in said.err
+    assert "its gate of 4 big orange cones" in said.out
+    assert re.search(r"its nose (5\.[89]|6\.[0-2]) m before the line", said.out)
+    assert picture.stat().st_size > 1000

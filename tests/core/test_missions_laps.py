@@ -95,9 +95,62 @@ def test_a_line_that_is_passed_the_wrong_way_is_not_passed() -> None:
 
 
 def test_the_rest_of_a_gate_just_passed_is_not_another_gate() -> None:
-    state = straight_to(staged(Motion(), 8.0), 0.0, 9.0)
+    state = gate_seen(staged(Motion(), 8.0), 8.0, 0.0, 0.0, Motion(), LAP_MIN_M)
+    state = straight_to(state, 0.0, 9.0)
     here = Motion(x_m=9.0, distance_m=9.0)
     assert gate_seen(state, 10.0, 0.0, 0.0, here, LAP_MIN_M) == state
+
+
+def sighted_start(lap_m: float = 500.0) -> LapState:
+    """The line at 8 m was passed in sight of its gate, and a lap of way later the car is 20 m before it."""
+    state = gate_seen(staged(Motion(), 8.0), 8.0, 0.0, 0.0, Motion(), LAP_MIN_M)
+    state = straight_to(state, 0.0, 9.0)
+    assert (state.passages, state.sighted) == (1, True)
+    return along(state, lap_m - 12.0, lap_m - 12.0, lap_m)
+
+
+def along(state: LapState, start_m: float, end_m: float, lap_m: float) -> LapState:
+    """Drive along the straight at a lap's end, by the distance driven."""
+    distance_m = start_m
+    while distance_m <= end_m:
+        state = advance_laps(state, Motion(x_m=distance_m - lap_m, distance_m=distance_m), LAP_MIN_M)
+        distance_m += 0.5
+    return state
+
+
+@pytest.mark.parametrize("early_m", [1.0, 5.0, 13.0, 25.0, 40.0])
+def test_a_passage_told_early_is_taken_back_at_sight_of_the_gate(early_m: float) -> None:
+    state = along(sighted_start(), 488.0, 508.0 + max(0.0, early_m - 11.0), 500.0)
+    assert (state.passages, state.sighted) == (2, False)
+    at_m = 508.0 + max(0.0, early_m - 11.0)
+    seen_from = Motion(x_m=at_m - 500.0, distance_m=at_m)
+    state = gate_seen(state, 8.0 + early_m, 0.0, 0.0, seen_from, LAP_MIN_M)
+    assert (state.passages, state.laps) == (1, 0)
+    state = along(state, at_m, 507.5 + early_m, 500.0)
+    assert state.passages == 1, "the gate has not been passed"
+    assert along(state, 507.5 + early_m, 509.0 + early_m, 500.0).laps == 1
+
+
+def test_a_lap_that_was_driven_is_not_taken_back_a_lap_later() -> None:
+    state = along(sighted_start(), 488.0, 530.0, 500.0)
+    assert (state.laps, state.sighted) == (1, False)
+    seen = gate_seen(state, 8.0, 0.0, 0.0, Motion(x_m=-2.0, distance_m=998.0), LAP_MIN_M)
+    assert seen.laps == 1
+
+
+@pytest.mark.parametrize("way_m", [10.0, 40.0, 500.0])
+def test_the_first_gate_in_sight_is_the_line_however_late(way_m: float) -> None:
+    """The car began with the gate round a bend, or behind it."""
+    state = straight_to(staged(Motion(), 8.0), 0.0, way_m)
+    assert state.passages == 1
+    state = gate_seen(state, way_m + 10.0, 0.0, 0.0, Motion(x_m=way_m, distance_m=way_m), LAP_MIN_M)
+    assert state.passages == 0
+    assert straight_to(state, way_m, way_m + 11.0).passages == 1
+
+
+def test_a_gate_that_is_behind_the_car_takes_nothing_back() -> None:
+    state = straight_to(staged(Motion(), 8.0), 0.0, 9.0)
+    assert gate_seen(state, 8.5, 0.0, 0.0, Motion(x_m=9.0, distance_m=9.0), LAP_MIN_M).passages == 1
 
 
 def test_a_gate_that_is_seen_replaces_the_line_that_was_assumed() -> None:

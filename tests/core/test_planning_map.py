@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from lap_rig import Ride
+from lap_rig import CAR, Ride
 from msgspec.structs import replace
 
 from fsai_hil.simulator.car import Pose
@@ -15,8 +15,12 @@ from fsai_hil.simulator.tracks import Track, random_circuit
 from fsai_hil.simulator.tracks.built_in import circuit_from
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.missions.laps import advance_laps, staged
 from fsai_vcu.core.planning.cone_map import SHARED_M, ConeMap, fit_of, located
+from fsai_vcu.core.planning.pose import NO_PATH
+from fsai_vcu.core.planning.racing import Racing
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.interface.enums import Ami
 
 CIRCUIT = random_circuit(1)
 
@@ -174,3 +178,69 @@ def test_a_cone_taken_away_leaves_the_map() -> None:
     for _ in range(15):
         known.add(np.delete(seen, nearest, axis=0), Motion())
     assert len(known.take()) == len(seen) - 1
+
+
+def stadium(straight_m: float, radius_m: float, apart_m: float) -> Track:
+    """Two half circles and two straights, evenly set with cones, without a gate."""
+    angle = np.linspace(-0.5, 0.5, 200) * math.pi
+    bend = np.column_stack([straight_m + radius_m * np.cos(angle), radius_m * (1.0 + np.sin(angle))])
+    way = np.column_stack([np.arange(0.0, straight_m, 0.25), np.zeros(int(4 * straight_m))])
+    half = np.vstack([way, bend])
+    track = circuit_from("stadium", np.vstack([half, [straight_m, 2.0 * radius_m] - half]), 12.0, 3.5, apart_m)
+    kept = track.cone_colors != ConeColor.BIG_ORANGE
+    return replace(track, cones_xy_m=track.cones_xy_m[kept], cone_colors=track.cone_colors[kept])
+
+
+class Laps(Mapping):
+    """Drives along the middle of the lane, counts laps by odometry, and closes the map as a racing planner does."""
+
+    def __init__(self, track: Track) -> None:
+        super().__init__(track)
+        self.racing = Racing(CAR, PlannerSettings(), self.motion)
+        self.state = staged(self.motion, CAR.nose_ahead_of_rear_axle_m + 6.0)
+
+    def follow(self, path_m: Floats) -> None:
+        here = self.racing.see(self.see().xy_m, self.motion)
+        self.state = self.racing.close(advance_laps(self.state, here, 20.0), here)
+        self.racing.path(NO_PATH, here)
+        super().follow(path_m)
+
+
+@pytest.mark.parametrize(
+    ("straight_m", "radius_m", "apart_m"), [(60.0, 10.0, 3.0), (75.0, 10.0, 3.0), (75.0, 10.0, 4.5), (78.0, 9.0, 2.5)]
+)
+def test_a_lap_begun_in_an_even_straight_is_closed_behind_it(
+    straight_m: float, radius_m: float, apart_m: float
+) -> None:
+    """A cone further on the cones of the straight fit as well: what comes behind it tells where the car is."""
+    ride = Laps(stadium(straight_m, radius_m, apart_m))
+    ride.drive(ride.track.length_m + straight_m + 10.0)
+    assert ride.racing.located and ride.racing.note == ""
+    assert ride.error_m(ride.racing.see(ride.see().xy_m, ride.motion)) < 0.4 * apart_m, (
+        "at its cones, not the next ones"
+    )
+    assert ride.state.line.x_m == pytest.approx(8.17, abs=0.6), "the line is where the first lap began"
+
+
+def test_a_lap_that_cannot_be_closed_is_said() -> None:
+    """On a circle that is evenly set with cones no place is another than the next."""
+    track, angle = stadium(0.0, 25.0, 4.5), np.linspace(0.0, 2.0 * math.pi, 36, endpoint=False)
+    rings = [r * np.column_stack([np.sin(angle), np.cos(angle)]) + (0.0, 25.0) for r in (23.25, 26.75)]
+    colors = np.repeat([int(ConeColor.BLUE), int(ConeColor.YELLOW)], 36)
+    ride = Laps(replace(track, cones_xy_m=np.vstack(rings), cone_colors=colors))
+    ride.drive(ride.track.length_m + 60.0)
+    assert ride.state.laps == 1 and ride.racing.note == ""
+    ride.drive(40.0)
+    assert not ride.racing.located and ride.racing.note.startswith("no race: ")
+
+
+@pytest.mark.parametrize("off_m", [(0.0, 0.0), (7.5, -7.0), (-10.0, 3.0), (1.0, 10.5)])
+def test_the_car_is_found_as_far_off_as_it_is_in_doubt(off_m: tuple[float, float]) -> None:
+    at = CIRCUIT.staging(Ami.TRACKDRIVE, CAR.nose_ahead_of_rear_axle_m)
+    around = np.array(CIRCUIT.cones_xy_m[np.hypot(*(CIRCUIT.cones_xy_m - (at.x_m, at.y_m)).T) < 40.0])
+    ahead, left = at.seen(*around.T)
+    seen = np.column_stack((ahead, left))[(ahead > 0.0) & (ahead < 30.0)]
+    guess = Motion(x_m=at.x_m + off_m[0], y_m=at.y_m + off_m[1], yaw_rad=at.yaw_rad + 0.1)
+    found = located(guess, 12.0, seen, around)
+    assert found is not None
+    assert (found.x_m, found.y_m, found.yaw_rad) == pytest.approx((at.x_m, at.y_m, at.yaw_rad), abs=0.05)

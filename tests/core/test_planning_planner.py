@@ -26,6 +26,7 @@ from fsai_vcu.interface.enums import Ami, AsState
 WINDING, STRAIGHT = random_circuit(1), acceleration_track()
 NOSE_M = ADS_DV_2026.nose_ahead_of_rear_axle_m
 FINISH_M = 75.0  # of STRAIGHT
+EARLY_M = 0.06  # by which odometry is further on after each step
 BIG = int(ConeColor.BIG_ORANGE)
 
 
@@ -49,6 +50,18 @@ def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
         observation = ConeObservation(t_ns, xy[seen] - (x, 0.0), color[seen], np.ones(int(seen.sum())))
         plan = planner.on_cones(observation, Motion(t_ns, x_m=x, speed_mps=4.0, distance_m=x))
         assert plan is not None and (plan.laps, plan.finished) == (0, False)
+
+
+def test_a_lap_ends_at_its_gate_though_odometry_is_early() -> None:
+    """Odometry has come to the line before the gate is in sight; the car stops behind the gate all the same."""
+    ride, early = Ride(WINDING, laps=1), False
+    while not ((plan := ride.step()).finished and plan.stop_distance_m is not None and plan.stop_distance_m < 0.5):
+        assert ride.motion.distance_m < 1.2 * WINDING.length_m
+        if 30.0 < ride.motion.distance_m < WINDING.length_m - 30.0:
+            ride.motion = replace(ride.motion, x_m=ride.motion.x_m + EARLY_M)
+        early |= plan.finished and ride.pose.ahead(NOSE_M)[0] < -8.0
+    assert early, "else odometry was not early enough to show anything"
+    assert 0.0 < ride.pose.ahead(NOSE_M)[0] < 30.0
 
 
 def test_acceleration_is_straight_at_full_throttle_and_ends() -> None:

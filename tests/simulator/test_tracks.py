@@ -291,17 +291,22 @@ def pacsim(track: Track) -> dict[str, object]:
         {"position": [*xy.tolist(), 0.0], "class": classes[ConeColor(color)]}
         for xy, color in zip(track.cones_xy_m, track.cone_colors, strict=True)
     ]
-    post = {"position": [0.0, 3.0, 0.0], "class": "timekeeping"}
+    # Whatever class they have: FSG24.yaml has unknown.
+    posts = [{"position": [0.5, y, 0.0], "class": "unknown"} for y in (5.0, -6.0)]
     centre = Pose(-8.0, 0.1, 0.02).ahead(ADS_DV_2026.cog_ahead_of_rear_axle_m)
     start = {"position": [*centre, 0.0], "orientation": [0.0, 0.0, 0.02]}
-    return {"track": {"start": start, "left": rows[::2], "right": rows[1::2], "time_keeping": [post], "unknown": []}}
+    return {"track": {"start": start, "left": rows[::2], "right": rows[1::2], "time_keeping": posts, "unknown": []}}
 
 
 def fssim(track: Track) -> dict[str, object]:
     colors = {"cones_left": ConeColor.BLUE, "cones_right": ConeColor.YELLOW, "cones_orange_big": ConeColor.BIG_ORANGE}
     lists: dict[str, object] = {name: cones(track, color) for name, color in colors.items()}
     nose = Pose(-8.0, 0.1, 0.02).ahead(ADS_DV_2026.nose_ahead_of_rear_axle_m)
-    return lists | {"cones_orange": [], "starting_pose_front_wing": [*nose, 0.02], "tk_device": [[0.0, 3.0]]}
+    return lists | {
+        "cones_orange": [],
+        "starting_pose_front_wing": [*nose, 0.02],
+        "tk_device": [[0.5, 3.0], [0.5, -3.0]],
+    }
 
 
 @pytest.mark.parametrize("layout", [pacsim, fssim])
@@ -313,16 +318,18 @@ def test_a_track_of_pacsim_and_of_fssim_is_read(layout: Callable[[Track], object
     assert sorted(found.cone_colors.tolist()) == sorted(small_oval().cone_colors.tolist())
     assert found.closed and found.length_m == pytest.approx(small_oval().length_m, rel=0.02)
     assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx((-8.0, 0.1, 0.02))
+    assert found.start_line is not None and found.line_by == "2 timing posts"
+    assert (found.start_line.x_m, found.start_line.y_m) == pytest.approx((0.5, 0.0), abs=0.13)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("a: [", "not valid YAML"),
-        ("- 1", "neither a track of PacSim"),
-        ("", "not laid out as PacSim or fssim have it"),
-        ("track: {left: [{class: blue}]}", "not laid out as PacSim or fssim have it: KeyError('position')"),
-        ("cones_left: [[1]]", "not laid out as PacSim or fssim have it"),
+        ("- 1", "neither YAML of PacSim"),
+        ("", "neither YAML of PacSim"),
+        ("track: {left: [{class: blue}]}", "not laid out as YAML of PacSim is: KeyError('position')"),
+        ("cones_left: [[1]]", "not laid out as YAML of fssim is"),
         ("cones_left: [[1, up]]", "cones_left 1: y is 'up', not a number"),
     ],
 )

@@ -3,7 +3,8 @@
 The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead.
 Both lines are defined here, for the judge of the simulation too.
 Seeing the gate again corrects the line, so that odometry may drift by metres in a lap; without a gate the
-line is laid anew where the car passes it, so that only one lap's drift matters.
+line is laid anew where the car passes it, so that only one lap's drift matters. A passage that only odometry has told
+is taken back where the gate then comes into sight ahead of the car.
 """
 
 from __future__ import annotations
@@ -41,6 +42,11 @@ class Line(Value, frozen=True):
     yaw_rad: float
     seen: bool  # by its cones; else assumed
     at_distance_m: float  # distance driven when it was last seen or laid
+    blind_m: float = 0.0  # way driven without seeing it, until it was laid there by odometry
+
+    def shifted_m(self, motion: Motion) -> float:
+        """The distance from its place at which it may come into sight, m: odometry drifts."""
+        return GATE_SHIFT_M + DRIFT_MAX * (self.blind_m + max(0.0, motion.distance_m - self.at_distance_m))
 
     def position_of(self, motion: Motion) -> tuple[float, float]:
         """(ahead, left) of the line at which the car is, m."""
@@ -55,8 +61,9 @@ class LapState(Value, frozen=True):
     line: Line
     passages: int = 0
     armed: bool = False
-    passed_at_m: float | None = None  # distance driven at the last passage
-    sighted: bool = False  # then, the line was where its gate had been seen right before
+    passed_at_m: float | None = None  # distance driven at the last passage …
+    before_m: float | None = None  # … and at the one before it
+    sighted: bool = False  # at the last one the line was where its gate had been seen right before
 
     @property
     def laps(self) -> int:
@@ -88,17 +95,23 @@ def gate_middle(gate_xy_m: Floats, left: NDArray[np.bool_]) -> Floats:
 
 def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: Motion, lap_min_m: float) -> LapState:
     """The gate's cones are in sight, the middle between them at (x, y) of the odometry frame."""
-    if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < 0.5 * lap_min_m:
-        return state  # just passed: what is in sight now may be the rest of the same gate
-    if state.line.seen:
+    line = state.line
+    since_m = math.inf if state.passed_at_m is None else motion.distance_m - state.passed_at_m
+    if line.seen:
         # The line stays where it is; only odometry drifts. A gate elsewhere is none, nor one passed the other way: the
         # lane may come back beside it.
-        driven_m = max(0.0, motion.distance_m - state.line.at_distance_m)
-        if abs(math.remainder(yaw_rad - state.line.yaw_rad, 2.0 * math.pi)) > math.pi / 2.0:
+        if abs(math.remainder(yaw_rad - line.yaw_rad, 2.0 * math.pi)) > math.pi / 2.0:
             return state
-        if math.hypot(x_m - state.line.x_m, y_m - state.line.y_m) > GATE_SHIFT_M + DRIFT_MAX * driven_m:
+        if math.hypot(x_m - line.x_m, y_m - line.y_m) > line.shifted_m(motion):
             return state
-    return replace(state, line=Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m))
+    gate = Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m)
+    # The first line of all was a guess where no gate was in sight; another one may have been off by odometry's drift.
+    wrong = since_m < line.shifted_m(motion) if line.seen else state.passages == 1
+    if wrong and not state.sighted and gate.position_of(motion)[0] < -BEFORE_M:
+        return LapState(gate, state.passages - 1, passed_at_m=state.before_m)
+    if since_m < 0.5 * lap_min_m:
+        return state  # just passed: what is in sight now may be the rest of the same gate
+    return replace(state, line=gate)
 
 
 def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
@@ -119,8 +132,9 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     line = state.line
     sighted = line.seen and blind_m < SIGHTED_M
     if blind_m > 0.5 * lap_min_m:
-        line = Line(motion.x_m, motion.y_m, motion.yaw_rad, seen=line.seen, at_distance_m=motion.distance_m)
-    return LapState(line, state.passages + 1, armed=False, passed_at_m=motion.distance_m, sighted=sighted)
+        here = motion.x_m, motion.y_m, motion.yaw_rad
+        line = Line(*here, seen=line.seen, at_distance_m=motion.distance_m, blind_m=line.blind_m + blind_m)
+    return LapState(line, state.passages + 1, False, motion.distance_m, state.passed_at_m, sighted)
 
 
 class Circling:

@@ -23,6 +23,7 @@ Bools = NDArray[np.bool_]
 
 NEAR_M = 25.0  # cones further from the car cannot be seen
 RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not one that is in sight now
+LATELY_M = 54.0  # of way: cones seen for the first time in it tell where in the map the car is
 VIEW_M = 14.0  # cones come into view about this far ahead
 BELIEVED_HITS = 3.0
 AVERAGE_OVER = 20.0  # sightings in a cone's mean
@@ -43,7 +44,9 @@ SHARED_M = 1.0  # a border between two parts of the lap belongs to both
 
 LOST_M = 8.0  # how far from where it is thought to be the car may be found
 # Looking for the car around a guess: coarsely first, then at the best places apart from each other
-SEARCH_M = np.arange(-6.0, 6.1, 1.5)
+SEARCH_STEP_M = 1.5
+SEARCH_M = np.arange(-6.0, 6.1, SEARCH_STEP_M)
+SEARCH_SEEN = 20
 SEARCH_RAD = np.arange(-0.16, 0.17, 0.08)
 SEARCH_GATE_M, SEARCH_APART_M, SEARCH_PLACES = 2.0, 2.0, 4
 SEARCH_CONES, SEARCH_FIT, SEARCH_LEAD = 6, 0.8, 0.15  # so many cones, all but some fit, and elsewhere fit worse
@@ -132,10 +135,11 @@ class ConeMap:
         """
         self._cones = self._cones[self._cones["last_m"] > begun_m - RECENT_M]
         cones, here = self._cones, self.here
-        old = self._believed & (cones["first_m"] < begun_m + RECENT_M)
+        old = self._believed & (cones["first_m"] < begun_m + max(RECENT_M, here.distance_m - ended_m))
         again = self._believed & (cones["first_m"] > ended_m - VIEW_M) & ~old
+        lately = again & (cones["first_m"] > here.distance_m - LATELY_M)
         guess = replace(here, x_m=here.x_m + drift_m[0], y_m=here.y_m + drift_m[1])
-        found = located(guess, doubt_m, to_vehicle(here, cones["xy"][again]), cones["xy"][old])
+        found = located(guess, doubt_m, to_vehicle(here, cones["xy"][lately]), cones["xy"][old])
         if found is None:
             return False
         driven = self._spread(found, begun_m)
@@ -281,11 +285,15 @@ def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats
     if len(seen_xy_m) < SEARCH_CONES or not len(fixed_xy_m):
         return None
     fixed = fixed_xy_m @ (1.0, 1j)
-    shifts = (SEARCH_M[:, None] + 1j * SEARCH_M).ravel()
+    # Where it may be further off, the cones next to the car must do for the first look.
+    wide = doubt_m > LOST_M
+    steps = np.arange(-doubt_m, doubt_m + 0.1, SEARCH_STEP_M) if wide else SEARCH_M
+    first = seen_xy_m[_lengths(seen_xy_m).argsort()[:SEARCH_SEEN]] if wide else seen_xy_m
+    shifts = (steps[:, None] + 1j * steps).ravel()
     turned = [replace(guess, yaw_rad=guess.yaw_rad + float(turn)) for turn in SEARCH_RAD]
     costs = np.empty((len(turned), len(shifts)))
     for row, pose in enumerate(turned):
-        at = to_odometry(pose, seen_xy_m) @ (1.0, 1j)
+        at = to_odometry(pose, first) @ (1.0, 1j)
         gap = np.abs(shifts[:, None, None] + at[:, None] - fixed).min(axis=2)
         costs[row] = np.minimum(gap, SEARCH_GATE_M).sum(axis=1)
     found: list[tuple[float, Motion]] = []

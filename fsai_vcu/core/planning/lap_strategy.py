@@ -156,11 +156,15 @@ class LapStrategy:
                     self._missions.lap_min_m,
                 )
         self._state = advance_laps(self._state, motion, self._missions.lap_min_m)
-        if self._finished_at_m is None and self._state.laps >= self._laps:
+        if self._state.laps < self._laps:
+            self._finished_at_m = None
+        elif self._finished_at_m is None:
             self._finished_at_m = motion.distance_m
-            # Comfortable from any speed, within what the rules allow.
-            needed = braking_m(motion.speed_mps, LAP_BRAKING_MPS2)
-            self._stop_m = min(max(self._missions.lap_stop_m, needed), self._missions.lap_stop_max_m)
+            # Comfortable from any speed, within what the rules allow; a gate that is due may still come into sight.
+            least_m, most_m = self._missions.lap_stop_m, self._missions.lap_stop_max_m
+            if self._state.line.seen and not self._state.sighted:
+                least_m = 0.5 * (least_m + most_m)
+            self._stop_m = min(max(least_m, braking_m(motion.speed_mps, LAP_BRAKING_MPS2)), most_m)
 
 
 def _gate_across(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:

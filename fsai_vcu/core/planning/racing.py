@@ -18,9 +18,13 @@ from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 HORIZON_M = 70.0  # of the path handed on
-CLOSING_M = (10.0, 40.0)  # beyond the line: by then the lap's first cones are seen again, or are not
+# Beyond the line, the lap's first cones are seen again or are not; where they stand evenly along a straight, what comes
+# behind it tells where the car is, but no further on than half a lap.
+CLOSING_M, CLOSING_MOST_M = (10.0, 40.0), 120.0
+UNCLOSED = "no race: the cones at the lap's end do not tell where its beginning was"
 SEARCH_EVERY_M = 2.0
-GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
+GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate …
+LAP_DOUBT = 0.03  # … and else, by a lap's way
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 ON_LINE = "a cone stands on the race line"
 STEADY = 10  # observations in a row that allow the line before it is joined
@@ -45,6 +49,7 @@ class Racing:
         self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
         self._steady = 0
         self._searched_at_m = motion.distance_m
+        self._unclosed = ""
         self.note = ""
 
     @property
@@ -74,16 +79,19 @@ class Racing:
     def close(self, state: LapState, motion: Motion) -> LapState:
         """Close the map once a lap is behind the car, and put the line back where it was when the lap began."""
         passages = self._passages
+        del passages[state.passages :]  # one may have been taken back
         if state.passages > len(passages):
             passages.append(state)
         if self._map.closed or len(passages) < 2:
             return state
         begun, ended = passages[-2], passages[-1]
         assert begun.passed_at_m is not None and ended.passed_at_m is not None
-        beyond = CLOSING_M[0] < motion.distance_m - ended.passed_at_m < CLOSING_M[1]
-        if not beyond or not self._may_search(motion):
+        beyond_m = motion.distance_m - ended.passed_at_m
+        most_m = max(CLOSING_M[1], min(CLOSING_MOST_M, 0.5 * (ended.passed_at_m - begun.passed_at_m)))
+        self._unclosed = UNCLOSED if beyond_m >= most_m else ""
+        if not CLOSING_M[0] < beyond_m < most_m or not self._may_search(motion):
             return state
-        drift, doubt_m = (0.0, 0.0), LOST_M
+        drift, doubt_m = (0.0, 0.0), max(LOST_M, LAP_DOUBT * (ended.passed_at_m - begun.passed_at_m))
         if begun.sighted and ended.sighted:
             drift, doubt_m = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m), GATE_DOUBT_M
         if not self._map.close(begun.passed_at_m, ended.passed_at_m, drift, doubt_m):
@@ -122,7 +130,7 @@ class Racing:
         """The path, and why there is none where it must not be used."""
         line, joined_at = self._line, self._joined_at
         if line is None:
-            return NO_PATH, ""
+            return NO_PATH, "" if self._map.closed else self._unclosed
         # Steady until now, the car races: a line laid anew is not joined from the lane.
         if self._map.fit < (FIT_MIN if self._steady >= STEADY else FIT_TO_JOIN):
             return NO_PATH, "the cones seen do not agree with the map"

@@ -7,12 +7,15 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import fill
 from typing import Final
 
 import numpy as np
 
-from fsai_hil.simulator.tracks import NAMES, STYLES, Track, TrackKind, as_csv, load_track
+from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.tracks import FILES, NAMES, STYLES, Track, TrackKind, as_csv, load_track
 from fsai_hil.simulator.tracks.layout import NOSE_M
+from fsai_hil.simulator.tracks.walking import BEFORE_M
 from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import resampled_ring
@@ -20,26 +23,22 @@ from fsai_vcu.interface.enums import Ami
 from fsai_vcu.printable import drawn
 
 STEP_M: Final = 0.25
-SHADES: Final = {
-    ConeColor.BLUE: "blue",
-    ConeColor.YELLOW: "gold",
-    ConeColor.ORANGE: "orange",
-    ConeColor.BIG_ORANGE: "orangered",
-    ConeColor.UNKNOWN: "gray",
-}
 OVER: Final = 8  # steps to either side, of which a bend is made: cones of a file do not stand on a smooth curve
 EXAMPLE = "fsai-vcu track --seed 7 -o seven.csv --plot seven.png\n  fsai-vcu track small_oval"
-ABOUT = """\
+ABOUT = f"""\
 The rules: a lane of 3 m or more, straights of 80 m or less, turns of 50 m outside
 diameter or less, hairpins of 9 m or more, cones at most 5 m apart, a lap of 200 to
 500 m. Styles: mixed, open (wide turns), tight (hairpins from 9 m: tighter than a
 car with 21 deg of steering can turn). drive --track takes what is named here.
-Files: CSV of EUFS and FSDS, YAML of PacSim and fssim (needs PyYAML)."""
+{fill(f"Files: {FILES} (YAML needs PyYAML).", 82)}
+The line is at the file's timing posts, else at its gate of big orange cones, else
+{BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between its rings. The car starts
+at the file's car_start, unless its nose is on or past the line there."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("track", nargs="?", metavar="FILE|NAME", help=f"a CSV or YAML file, {', '.join(NAMES)}")
+    add("track", nargs="?", metavar="FILE|NAME", help=f"a file, {', '.join(NAMES)}")
     add("--seed", type=int, metavar="N", help="instead: make a circuit, for a seed always the same")
     add("--style", choices=list(STYLES), help="with --seed: what it is made of (mixed)")
     add("-o", "--output", type=Path, metavar="FILE.csv", help="save the track")
@@ -77,7 +76,10 @@ def _facts(track: Track) -> Iterator[str]:
     yield f"{track.name}: {track.kind.value}" + (f", {track.length_m:.0f} m" if track.length_m else "")
     yield f"cones: {', '.join(f'{count} {color}' for color, count in colors.most_common()) or 'none'}"
     if line := track.start_line:
-        yield f"start line: {line.x_m:.2f}, {line.y_m:.2f} m, crossed towards {math.degrees(line.yaw_rad):.0f} deg"
+        way = f"crossed towards {math.degrees(line.yaw_rad):.0f} deg"
+        yield f"start line: {_at(line)}, {way}: {track.line_by}"
+        start = track.staging(_mission(track), NOSE_M)
+        yield f"car: {_at(start)}, its nose {_before_m(track, line, start):.1f} m before the line"
     if not track.closed or track.centreline_m is None:
         return
     middle = resampled_ring(track.centreline_m, STEP_M)
@@ -92,6 +94,21 @@ def _facts(track: Track) -> Iterator[str]:
     yield f"lane: {np.min(width):.1f} to {np.max(width):.1f} m wide"
 
 
+def _at(pose: Pose) -> str:
+    x_m, y_m = (round(value, 2) + 0.0 for value in (pose.x_m, pose.y_m))  # -0.0 is 0
+    return f"{x_m:.2f}, {y_m:.2f} m"
+
+
+def _before_m(track: Track, line: Pose, start: Pose) -> float:
+    """The way of the nose of the car at `start` to the line, along the lane if one is known."""
+    nose = start.ahead(NOSE_M)
+    before_m = -float(line.seen(*nose)[0])
+    if not track.closed or track.centreline_m is None or math.hypot(line.x_m - nose[0], line.y_m - nose[1]) < 10.0:
+        return before_m
+    step_m = track.length_m / len(track.centreline_m)
+    return track.length_m - step_m * float(np.argmin(np.hypot(*(track.centreline_m - nose).T)))
+
+
 def _draw(track: Track, path: Path) -> None:
     path.parent.stat()  # before seconds go into matplotlib: it fails where there is no such folder
     try:
@@ -102,12 +119,15 @@ def _draw(track: Track, path: Path) -> None:
     except ImportError:
         raise UserError("matplotlib is not installed; install it with: pip install 'fsai-vcu[plot]'") from None
     figure, plan = pyplot.subplots(figsize=(9.0, 9.0), layout="constrained")
-    for border in (track.left_border_m, track.right_border_m):
-        if border is not None:
-            plan.plot(*(np.vstack([border, border[:1]]) if track.closed else border).T, color="#cccccc", linewidth=0.8)
-    for color, shade in SHADES.items():
-        x, y = track.cones_xy_m[track.cone_colors == color].T
-        plan.scatter(x, y, s=10.0 if color is not ConeColor.BIG_ORANGE else 30.0, color=shade)
+    from fsai_hil.simulator.plot import car_outline, draw_track  # slow to import
+
+    draw_track(plan, track)
+    if track.start_line is not None:
+        start = track.staging(_mission(track), NOSE_M)
+        for box, name in zip(car_outline(start, 0.0), ("car at the start", *[None] * 4), strict=True):
+            plan.plot(*np.vstack([box, box[:1]]).T, color="#203864", linewidth=0.8, label=name)
+        plan.annotate("", start.ahead(NOSE_M + 4.0), start.ahead(NOSE_M), arrowprops={"arrowstyle": "->"})
+        plan.legend(loc="best")
     plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=drawn(next(_facts(track))))
     try:
         figure.savefig(path)

@@ -23,6 +23,7 @@ from fsai_hil.simulator.tracks.layout import (
     ACCELERATION_STOP_M,
     CIRCUIT_STOP_M,
     CONE_RADIUS_M,
+    KIND_IS,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
     Track,
@@ -456,7 +457,7 @@ def check_track(track: Track, mission: Ami) -> str | None:
         return f"{mission.label} is no mission"
     if criteria.track is not None and criteria.track is not track.kind:
         return (
-            f"mission {mission.name.lower()} needs a track of kind {criteria.track.value}, "
+            f"mission {mission.name.lower()} needs a track of kind {criteria.track.value} ({KIND_IS[criteria.track]}), "
             f"but {track.name} is of kind {track.kind.value}"
         )
     return None

@@ -16,7 +16,7 @@ def add_setup_arguments(parser: argparse.ArgumentParser, default: str, missions:
     known = ", ".join(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
     add = parser.add_argument
     add("--mission", metavar=missions, help=f"{known} ({default})")
-    tracks = f"a CSV or YAML file, or {', '.join(NAMES)} (the mission's own)"
+    tracks = f"a file, or {', '.join(NAMES)} (the mission's own)"
     add("--track", metavar="FILE|NAME", help=tracks)
     add("--laps", type=int, metavar="N", help="laps of a trackdrive (10)")
     add("--revision", default="2026", help="interface revision of the car (2026)")

@@ -15,6 +15,7 @@ from fsai_hil.simulator.tracks.built_in import skidpad_track as skidpad_track
 from fsai_hil.simulator.tracks.built_in import small_oval as small_oval
 from fsai_hil.simulator.tracks.files import as_csv as as_csv
 from fsai_hil.simulator.tracks.files import parse_track as parse_track
+from fsai_hil.simulator.tracks.formats import FILES as FILES
 from fsai_hil.simulator.tracks.generator import STYLES as STYLES
 from fsai_hil.simulator.tracks.generator import generated_circuit as generated_circuit
 from fsai_hil.simulator.tracks.layout import Track as Track
@@ -43,7 +44,7 @@ def load_track(path_or_name: str | Path) -> Track:
             return random_circuit(int(seed))
     path = Path(path_or_name)
     if not path.suffix and not path.exists():
-        raise TrackError(f"{name}: no such track; built in are {', '.join(NAMES)}; or name a CSV or YAML file")
+        raise TrackError(f"{name}: no such track; built in are {', '.join(NAMES)}; or name a file: {FILES}")
     try:
         text = read_named(path, TRACK_BYTES, "utf-8-sig")
     except OSError as error:

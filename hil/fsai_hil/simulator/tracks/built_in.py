@@ -13,6 +13,7 @@ from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.tracks.layout import (
     ACCELERATION_RUN_M,
     ACCELERATION_STOP_M,
+    BETWEEN_RINGS,
     CIRCUIT_LANE_M,
     CIRCUIT_MIN_RADIUS_M,
     LANE_M,
@@ -105,7 +106,7 @@ def skidpad_track() -> Track:
         (straight,),
     )
     track = Track("skidpad", TrackKind.SKIDPAD, xy, colors, centreline_m=as_array(route), lane=lane, source="skidpad")
-    return with_line(track, Pose())
+    return with_line(track, Pose(), BETWEEN_RINGS)
 
 
 def _stretched(ring: Floats, straight_m: float) -> Floats:

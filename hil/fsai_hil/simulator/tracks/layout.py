@@ -37,6 +37,9 @@ STAGED_BEFORE_LINE_M: Final[Mapping[Ami, float]] = {
 NOSE_M: Final = ADS_DV_2026.nose_ahead_of_rear_axle_m  # the same for all cars
 CIRCUIT_LANE_M: Final = 3.5
 CIRCUIT_MIN_RADIUS_M: Final = 6.0
+OWN_GATE: Final = "its gate of big orange cones"
+BETWEEN_RINGS: Final = "between its two rings"
+TIMING_POSTS: Final = "timing posts"
 CONE_RADIUS_M: Final = np.array([0.114, 0.114, 0.114, 0.114, 0.1425])  # by ConeColor
 
 
@@ -53,6 +56,15 @@ class TrackKind(Enum):
     CIRCUIT = "circuit"
 
 
+KIND_IS: Final[Mapping[TrackKind, str]] = {
+    TrackKind.STATIC: "no cones",
+    TrackKind.ACCELERATION: "a straight between two gates of big orange cones, or between two pairs of timing posts",
+    TrackKind.SKIDPAD: (
+        f"two whole rings of cones {SKIDPAD_INNER_DIAMETER_M:g} m wide, "
+        f"their middles {SKIDPAD_CENTRES_APART_M:g} m apart"
+    ),
+    TrackKind.CIRCUIT: "a lane between blue and yellow cones",
+}
 Rings = tuple[tuple[Point, ...], ...]
 
 
@@ -72,6 +84,7 @@ class Track(Value, frozen=True):
     closed: bool = False
     start_line: Pose | None = None  # its middle, and the direction in which cars cross it
     finish_line: Pose | None = None
+    line_by: str = ""  # what the start line is known by, in words
     centreline_m: Floats | None = None
     left_border_m: Floats | None = None
     right_border_m: Floats | None = None
@@ -138,6 +151,7 @@ def with_straight(track: Track, start: Point, finish: Point, half_m: float) -> T
         track,
         start_line=line,
         finish_line=Pose(*finish, line.yaw_rad),
+        line_by=OWN_GATE,
         centreline_m=as_array([line.ahead(begin + 0.5 * i) for i in range(int((end - begin) * 2) + 1)]),
         left_border_m=as_array([line.ahead(begin, half_m), line.ahead(end, half_m)]),
         right_border_m=as_array([line.ahead(begin, -half_m), line.ahead(end, -half_m)]),
@@ -145,16 +159,16 @@ def with_straight(track: Track, start: Point, finish: Point, half_m: float) -> T
     )
 
 
-def with_line(track: Track, line: Pose) -> Track:
-    """The track with one line for start and finish."""
-    return replace(track, start_line=line, finish_line=line)
+def with_line(track: Track, line: Pose, by: str) -> Track:
+    """The track with one line for start and finish, and what it is known by."""
+    return replace(track, start_line=line, finish_line=line, line_by=by)
 
 
-def with_circuit(track: Track, line: Pose, middle: Floats, left: Floats, right: Floats) -> Track:
+def with_circuit(track: Track, line: Pose, middle: Floats, left: Floats, right: Floats, by: str = OWN_GATE) -> Track:
     """The track with the lane between two closed borders."""
     rings = tuple(tuple((float(x), float(y)) for x, y in border) for border in (left, right))
     circuit = replace(track, closed=True, centreline_m=middle, left_border_m=left, right_border_m=right, lane=(rings,))
-    return with_line(circuit, line)
+    return with_line(circuit, line, by)
 
 
 def smoothed(line: Floats, window_m: float, step_m: float = 0.25) -> Floats:
