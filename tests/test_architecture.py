@@ -56,12 +56,12 @@ ARROWS: dict[str, set[str]] = {
     | {"fsai_vcu.interface", "fsai_vcu.runtime", FILES},
     f"{DIAGNOSTICS}.monitor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface", PRINTABLE},
-    f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics", "verdict")}
-    | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.serving": {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.foxglove": {f"{DIAGNOSTICS}.serving"},
-    f"{DIAGNOSTICS}.pitwall": {f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "report", "serving")}
-    | {"fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.page": {
+        f"{DIAGNOSTICS}.{room}" for room in ("explain", "log", "monitor", "serving", "statistics", "verdict")
+    }
+    | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.stack": {"fsai_vcu.core", f"{DIAGNOSTICS}.finding", PRINTABLE},
     "fsai_vcu.cli": {
         ARGUMENTS,

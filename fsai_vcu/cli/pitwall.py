@@ -1,4 +1,4 @@
-"""`fsai-vcu pitwall`: a bus live on one web page, for everybody around the car; only listens."""
+"""`fsai-vcu pitwall`: a bus live, or a log, on one web page for everybody around the car; only listens."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,6 +21,7 @@ from fsai_vcu.cli.sources import (
     add_server_arguments,
     add_sources_argument,
     check_server,
+    judged,
     part_of,
 )
 from fsai_vcu.interface.errors import UserError, WrongUse
@@ -28,25 +29,27 @@ from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.monitor.sources import Source
-    from fsai_vcu.diagnostics.pitwall.server import Server
+    from fsai_vcu.diagnostics.page.server import Server
 
 EXAMPLE = (
     "fsai-vcu pitwall can0 --ros\n  fsai-vcu pitwall run.log --rate 1 --loop\n  fsai-vcu pitwall can0 --host 0.0.0.0"
 )
 ABOUT = """\
 AS state with its lights, mission, why the car is not driving, what is asked and
-given, laps, faults and what to do, the bus, and the way driven: on one page for
-a wall, a tablet or a phone, without a network of others. With --ros also what
-the running nodes say: cones, the planned path, the place to stop at, and the
-words of bridge, planner and controller. It never sends, and the page has no
-buttons. It is to be seen on this machine only, unless --host opens it. A log is
-played. Needs the extra pitwall (pip install 'fsai-vcu[pitwall]')."""
+given with ten seconds of it, laps (of as many as the rules have) and their times,
+faults and what to do, the bus, and the driven path: on one page for a wall, a
+tablet or a phone, without a network of others. With --ros also what the running
+nodes say: cones, the planned path, the place to stop at, and the words of bridge,
+planner and controller. It never sends, and the page of a bus has no buttons. It
+is to be seen on this machine only, unless --host opens it. A log plays on the
+same page with a time slider, plots and what explain finds, as in the file that
+report saves. Needs the extra pitwall (pip install 'fsai-vcu[pitwall]')."""
 Said = tuple[dict[str, Any], dict[str, Any]]  # for the page's state, and for its story
 PORT: Final = 8650
 SHOWN_S: Final = 0.2
 UNSEEN_S: Final = 1.0  # while nobody looks
 STORY_S: Final = 1.0
-PLAYED_S: Final = 25.0  # of a log at a time: of so much the view has every frame
+PLAYED_S: Final = 25.0  # of a pipe at a time: of so much the view has every frame
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.monitor.view import View
 
     try:
-        from fsai_vcu.diagnostics.pitwall.server import Server
+        from fsai_vcu.diagnostics.page.server import Server
     except ModuleNotFoundError:
         raise UserError("aiohttp is not installed; install it with: pip install 'fsai-vcu[pitwall]'") from None
     check_numbers(args, rate=0.01)
@@ -78,38 +81,57 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--seconds and --ros are for live buses")
     if args.namespace and not args.ros:
         raise WrongUse("--namespace goes with --ros")
-    databases = Decoding("pitwall", args).databases if args.dbc else None
-    view = View(", ".join(Path(name).name for name in sources.names), args.revision, databases)
-    sources.tell_the_end(part)
-    chunks = sources.chunks(args.seconds, waits=True)
+    if args.loop and not sources.files:
+        raise WrongUse("--loop is for logs that are files")
+    decoding = Decoding("pitwall", args)
     try:
         server = Server(args.host, args.port)
     except OSError as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
-    source: Source
-    first = list(islice(chunks, 1))  # a bus is opened here, not in the thread; of a log the first moment is known
-    if sources.live:
-        source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
-    else:
-        begin_ns = sources.first_ns or 0
-        low_ns, high_ns = part.bounds(begin_ns)
-        frames = (each.only(each.t_ns <= high_ns) for each in chain(first, chunks))
-        from_s = (low_ns - begin_ns) / S if math.isfinite(low_ns) else None
-        source = Log(frames, view, from_s, args.rate or 1.0, keep=args.loop)
-        if source.empty:
-            server.socket.close()
-            return sources.status
-    try:
-        with server, _nodes(args) as nodes:
-            print(f"http://{server.url} shows {sources.name} until Ctrl-C", flush=True)
-            if server.beyond:
-                print(server.beyond, flush=True)
+    with closing(server.socket), suppress(KeyboardInterrupt):
+        if sources.files:
+            return _serve_log(server, sources, decoding, args)
+        databases = decoding.databases if args.dbc else None
+        view = View(", ".join(Path(name).name for name in sources.names), args.revision, databases)
+        chunks = sources.chunks(args.seconds, waits=True)
+        source: Source
+        first = list(islice(chunks, 1))  # a bus is opened here, not in the thread; of a log the first moment is known
+        if sources.live:
+            source = Live(chain(first, chunks), view, lambda: sources.lost_here, lambda: sources.heard_ns())
+        else:
+            begin_ns = sources.first_ns or 0
+            low_ns, high_ns = part.bounds(begin_ns)
+            frames = (each.only(each.t_ns <= high_ns) for each in chain(first, chunks))
+            from_s = (low_ns - begin_ns) / S if math.isfinite(low_ns) else None
+            source = Log(frames, view, from_s, args.rate or 1.0, keep=False)
+            if source.empty:
+                return sources.status
+        with closing(source), server, _nodes(args) as nodes:
+            _announce(server, sources)
             _show(source, server, nodes, args)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        source.close()
     return sources.status
+
+
+def _announce(server: Server, sources: Sources) -> None:
+    print(f"http://{server.url} shows {sources.name} until Ctrl-C", flush=True)
+    if server.beyond:
+        print(server.beyond, flush=True)
+
+
+def _serve_log(server: Server, sources: Sources, decoding: Decoding, args: argparse.Namespace) -> int:
+    """The page has the whole log in it, and plays it itself."""
+    from fsai_vcu.diagnostics.page.document import of_log
+
+    found = judged(args, sources, decoding)
+    if found is None:
+        return sources.status
+    name = ", ".join(Path(name).name for name in sources.names)
+    server.html = of_log(found, name, whole=False, rate=args.rate or 1.0, loop=args.loop)
+    with server:
+        _announce(server, sources)
+        while True:
+            time.sleep(UNSEEN_S)
+            server.check()
 
 
 @contextmanager
@@ -130,8 +152,8 @@ def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
 def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argparse.Namespace) -> None:
     """Until a bus is over. The picture is made as often as somebody looks, the story of the run once a second."""
     from fsai_vcu.diagnostics.monitor.sources import Log
-    from fsai_vcu.diagnostics.pitwall.board import events_of, state_of
-    from fsai_vcu.diagnostics.pitwall.trace import Trace
+    from fsai_vcu.diagnostics.page.board import events_of, state_of
+    from fsai_vcu.diagnostics.page.trace import Trace
 
     trace = Trace()
     run = ""
@@ -151,8 +173,6 @@ def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argpa
         server.publish("state", {**state_of(picture), "clock": clock, "pose": pose, **drawn, "run": run})
         if source.ended and not isinstance(source, Log):
             return
-        if source.ended and args.loop:
-            source.pause()  # at its end: from the start
         source.wait(min(SHOWN_S if server.viewers else UNSEEN_S, most_s))
         now_s = time.monotonic()
         source.advance(min(now_s - shown_s, most_s))

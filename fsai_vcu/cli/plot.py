@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fsai_vcu.cli import report
 from fsai_vcu.cli.sources import (
@@ -15,16 +16,23 @@ from fsai_vcu.cli.sources import (
     add_part_arguments,
     part_of,
 )
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series
+from fsai_vcu.diagnostics.page.curves import BREAK_NS
 from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.lights import BAND_ALPHA, light_of
 from fsai_vcu.printable import drawn
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
 ABOUT = """\
 A signal is NAME or MESSAGE.NAME, * and ? stand for anything; signals of one
-unit share an axis. The ending of the file says the format: png, svg, pdf, which
-need matplotlib (pip install 'fsai-vcu[plot]'), or html: the page of report, with
-its exit status, and these signals on top."""
+unit share an axis, behind which the AS state is a band of its colour. The ending
+of the file says the format: png, svg, pdf, which need matplotlib (pip install
+'fsai-vcu[plot]'), or html: the page of report, with its exit status, and these
+signals on top."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,6 +85,7 @@ def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]
             axes.plot(
                 (series.t_ns - record.begin_ns) / 1e9, series.values, drawstyle="steps-post", label=drawn(name), lw=1
             )
+        _shade_states(axes, record, named=axes is rows[0, 0])
         axes.set_ylabel(drawn(unit or "raw"))
         axes.grid(alpha=0.3)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")  # beside, so that it hides nothing
@@ -89,3 +98,14 @@ def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]
         raise UserError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
     finally:
         pyplot.close(figure)
+
+
+def _shade_states(axes: Axes, record: Record, *, named: bool) -> None:
+    """Colour the background by AS state; each has its name in the legend once."""
+    found: set[str] = set()
+    for span in record.series(sig.AS_STATE).spans_within(BREAK_NS):
+        state = sig.label(sig.AS_STATE, span.value)
+        begin_s, end_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (span.begin_ns, span.end_ns))
+        label = state if named and state not in found else "_"
+        axes.axvspan(begin_s, end_s, color=light_of(state).fill, alpha=BAND_ALPHA, linewidth=0, zorder=0, label=label)
+        found.add(state)

@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged
-from fsai_vcu.diagnostics.report.page import page_of
+from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
-One HTML file with the plots, what explain finds and the figures of
-check --figures; it opens offline and loads nothing from elsewhere. Exit status:
+One HTML file: the pit wall's page at any moment of the log, with its plots, what
+explain finds and the figures of check --figures; it opens offline and loads
+nothing from elsewhere. Exit status:
 as for check, by the verdict on top of the page, which is saved all the same; 1
 also where it cannot be."""
 
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     chosen = found.record.matching((args.signals or "").split(","))
     if args.signals is not None and not chosen:
         raise UserError(f"no signal {args.signals} in {sources.name}")
-    text = page_of(found, Path(sources.name).name, chosen)
+    text = of_log(found, Path(sources.name).name, chosen)
     try:
         _write(args.output, text)
     except OSError as error:

@@ -59,7 +59,7 @@ def test_a_log_is_shown_as_it_stood_at_its_end(log: str, capsys: pytest.CaptureF
     lines = shown(capsys, log)
     assert lines[0].startswith(" run.log   revision 2026")
     assert lines[0].endswith("6.0 s into the log")
-    assert lines[1].startswith("AS_DRIVING for 3.0 s  Go on  ASMS on  TSMS on  mode autonomous")
+    assert lines[1].startswith("● AS_DRIVING for 3.0 s  Go on  ASMS on  TSMS on  mode autonomous")
     assert "driving" in lines
     assert max(map(len, lines)) <= 80
 
@@ -282,7 +282,7 @@ def test_p_holds_the_picture_and_a_new_size_is_drawn(terminal: Terminal) -> None
     terminal.read(r"listening only")
     terminal.resize(40, 14)
     terminal.process.send_signal(signal.SIGWINCH)  # as the kernel does for a controlling terminal
-    terminal.read(r"\x1b\[14;1H[^\n]*q quit")
+    terminal.read(r"\x1b\[14;1H[^\n]* q [^\n]* quit ")
 
 
 def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> None:

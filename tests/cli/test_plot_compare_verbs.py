@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.lights import LIGHTS
 
 
 def log(path: Path, *, period_ms: int = 10, angle: int = 50) -> Path:
@@ -50,7 +52,20 @@ def test_a_page_of_signals_is_the_reports(tmp_path: Path, capsys: pytest.Capture
     page = tmp_path / "angle.html"
     assert main(["plot", str(log(tmp_path / "a.log")), "ANGLE", "*.ANGLE_MAX", "-o", str(page)]) == 1
     assert "verdict: NOT OK" in capsys.readouterr().out, "the page's own verdict"
-    assert "VCU2AI_Steer.ANGLE_MAX" in page.read_text()
+    html = page.read_text()
+    places = [html.index(part) for part in ('id="legend-signals0"', 'id="lanes"', "<main>")]
+    assert places == sorted(places) and "VCU2AI_Steer.ANGLE_MAX" in html, "the signals come first"
+
+
+def test_as_states_are_bands_of_their_colours_behind_signals(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'fsai-vcu[plot]'")
+    run, picture = log(tmp_path / "a.log"), tmp_path / "angle.svg"
+    with run.open("a") as file:
+        file.writelines(f"({3 + n / 100:.6f}) can0 520#211E433020000000\n" for n in range(100))  # AS_DRIVING
+    assert main(["plot", str(run), "ANGLE", "-o", str(picture)]) == 0
+    drawn = picture.read_text()
+    assert f"fill: {LIGHTS[AsState.AS_DRIVING].fill}" in drawn and "AS_DRIVING" in drawn
+    assert LIGHTS[AsState.AS_READY].fill not in drawn
 
 
 def test_a_signal_that_the_log_lacks_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

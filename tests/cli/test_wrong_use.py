@@ -95,6 +95,7 @@ USES = [
     (f"pitwall {BUS} --to 1", 2, "--from, --to, --rate and --loop are for logs"),
     ("monitor run.log --signals AS_STATE,NOTHING*", 1, "no signal NOTHING*; fsai-vcu dbc show lists them"),
     ("pitwall can0 --loop", 2, "--rate and --loop are for logs"),
+    ("pitwall - --loop", 2, "--loop is for logs that are files"),
     ("pitwall run.log --seconds 1", 2, "--seconds and --ros are for live buses"),
     ("pitwall run.log --ros", 2, "--seconds and --ros are for live buses"),
     ("pitwall can0 --namespace /car1", 2, "--namespace goes with --ros"),

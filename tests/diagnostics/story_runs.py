@@ -19,7 +19,7 @@ from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain import Explanation, Record, explained
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.report.page import page_of
+from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.diagnostics.verdict import judged
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
@@ -170,4 +170,4 @@ def tell(frames: Frames, databases: Databases | None = None) -> Explanation:
 
 def page(frames: Frames, name: str) -> str:
     """The report's page on these frames."""
-    return page_of(judged(frames), name)
+    return of_log(judged(frames), name)

@@ -17,13 +17,15 @@ from rich.console import Console
 from story_runs import Ended, branch, driving, off, ready
 
 from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.explain import Record
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.monitor.drawing import head, history_row, message_row, overview
+from fsai_vcu.diagnostics.monitor.drawing import head, history_row, instruments, message_row, overview
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, Picture, plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
-from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
+from fsai_vcu.diagnostics.monitor.view import EXPECTED, TREND_NS, View
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
@@ -506,6 +508,36 @@ def test_what_ends_the_reading_of_a_bus_is_raised_at_close() -> None:
         live.close()
 
 
+# ---------------------------------------------------------------- laps and trends
+
+
+def test_lap_times_between_the_counters_steps_are_remembered() -> None:
+    moved, ends = 3 * S, (40 * S, 75 * S)
+    state, view = (0x520, status(AsState.AS_DRIVING, go=True)), View("can0")
+    view.update(every_cycle(-S, 0, (0x520, status(AsState.AS_READY)), (0x525, "00" * 8), (0x510, "0010040000000000")))
+    edges = [0, moved, *ends, 80 * S]
+    for lap, rpm, begin_ns, end_ns in zip((0, 0, 1, 2), ("0000", *["2800"] * 3), edges, edges[1:], strict=False):
+        view.update(every_cycle(begin_ns, end_ns, state, (0x525, rpm * 4), (0x510, f"00200{lap}0000000000")))
+    picture = view.picture(80 * S)
+    assert (picture.lap, picture.laps, picture.lap_times_s) == (2, 10, pytest.approx((37.0, 35.0), abs=0.011))
+    assert view.picture(20 * S).lap_times_s == ()
+
+
+def test_trends_are_the_last_ten_seconds_of_the_bus(go_off: Ended) -> None:
+    view = View("run.log")
+    view.update(go_off.frames)
+    end_ns = int(go_off.frames.t_ns[-1])
+    view.picture(end_ns)
+    trends, record = view.trends(end_ns), Record(go_off.frames)
+    given = record.series(sig.ANGLE).between(end_ns - TREND_NS + 1, end_ns)
+    assert trends["steering given"].values.tolist() == given.values.tolist() and len(given) > 900
+    fastest_mps = record.car.speed_of_wheel_rpm(float(record.middle_wheel.values.max()))
+    assert trends["speed"].values.max() == pytest.approx(fastest_mps, 0.1)
+    text = instruments(view.picture(end_ns), trends, 46)
+    assert max(map(len, text.plain.splitlines())) <= 46 and "of 500 kbit/s" in text.plain
+    assert set(text.plain.splitlines()[1].strip()) >= {"▁", "█"}, "the car drove and stands"
+
+
 # ---------------------------------------------------------------- drawing
 
 
@@ -588,8 +620,9 @@ def test_messages_that_are_not_well_are_shown_first() -> None:
 def test_a_state_has_the_colour_of_the_cars_lights(state: AsState, light: str, flashes: bool) -> None:
     picture = seen(every_cycle(0, S, (0x520, status(state)), *AI))
     bright, dark = (drawn(picture, 80, 24, color=True, dark_phase=phase)[1] for phase in (False, True))
-    assert (light in bright.split("m")[0]) and ("4" in bright.split("m")[0]) == bool(light)
-    assert (bright != dark) == flashes
+    for shown in (bright, dark):  # the colour stays, a lamp flashes
+        assert (light in shown.split("m")[0]) and ("4" in shown.split("m")[0]) == bool(light)
+    assert (bright != dark) == flashes and bool(light) == ("● " in bright) and flashes == ("○ " in dark)
 
 
 def test_changed_bytes_and_values_are_highlighted() -> None:

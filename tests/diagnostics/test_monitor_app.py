@@ -88,8 +88,8 @@ def test_every_page_fits_and_says_its_keys(size: tuple[int, int], frames: Frames
                 assert "EMERGENCY_BRAKE for 2.0 s" in text(app)
             assert len(lines(app)) == size[1] and max(map(len, lines(app))) <= size[0]
             assert lines(app)[0].startswith(" run.log") and lines(app)[0].endswith(" s")
-            beyond = "" if size is SMALL else " n N state g second / find"  # whole keys only
-            assert lines(app)[-1] == "q quit ? help p pause ← → 1 s Tab page" + beyond
+            beyond = "" if size is SMALL else "  Tab  page  n N  state  g  second  /  find"
+            assert lines(app)[-1].strip() == "q  quit  ?  help  p  pause  ← →  1 s" + beyond  # whole keys only
 
     walk(log_of(frames), size, steps)
 
@@ -205,6 +205,20 @@ def test_signals_asked_for_are_shown_first(frames: Frames) -> None:
         assert "VCU2AI_Status.AS_STATE" in text(app) and len(app._rows) == 1
 
     walk(log_of(frames), LARGE, steps, signals=("AS_STATE",))
+
+
+def test_bars_and_trends_take_the_right_half_of_a_wide_terminal(frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        def right() -> str:
+            return "\n".join(each[72:] for each in lines(app))
+
+        await until(lambda: "of 500 kbit/s" in right() and "█" in right(), app)
+        assert lines(app)[1].startswith("● EMERGENCY_BRAKE")
+        assert all(name in right() for name in ("speed", "steering", "torque rear", "brake front", "bus load"))
+        await pilot.press("2")
+        await until(lambda: "of 500 kbit/s" not in text(app), app)
+
+    walk(log_of(frames), (120, 30), steps)
 
 
 class Bus:

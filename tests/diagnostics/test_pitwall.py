@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,13 +22,15 @@ from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import View
-from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
-from fsai_vcu.diagnostics.pitwall.server import Server
-from fsai_vcu.diagnostics.pitwall.trace import POINTS, Trace
-from fsai_vcu.diagnostics.report.curves import way_of
+from fsai_vcu.diagnostics.page.board import EVENTS, events_of, state_of, states_of
+from fsai_vcu.diagnostics.page.curves import way_of
+from fsai_vcu.diagnostics.page.server import Server
+from fsai_vcu.diagnostics.page.trace import POINTS, Trace
 from fsai_vcu.diagnostics.serving import MOST_CONNECTIONS, MOST_OF_ONE
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.lights import LIGHTS
 from fsai_vcu.interface.units import MS, S
 from fsai_vcu.runtime.bus import BusLost
 
@@ -57,9 +60,10 @@ def test_a_state_is_json_without_messages_that_come(run: Frames) -> None:
     driving = run.only(run.t_ns < run.t_ns[0] + 20 * S)
     state = state_of(seen(driving))
     assert len(json.dumps(state, allow_nan=False)) < 2500
-    assert (state["as_state"], state["light"]) == ("AS_DRIVING", {"colour": "yellow", "flashes": True})
+    assert (state["as_state"], state["light"]) == ("AS_DRIVING", LIGHTS[AsState.AS_DRIVING]._asdict())
     assert (state["driving"], state["why_not_driving"], state["faults"], state["missing"]) == (True, [], [], [])
-    assert state["messages"] == [] and state["received"] >= 14
+    assert state["received"] >= 14 and "messages" not in state
+    assert (state["lap"], state["laps"], state["lap_times_s"]) == (0, 1, []) and state["bitrate"] == 500_000
     assert state["lap"] == 0 and state["cones"] > 0 and state["speed_mps"] > 3.0
     assert state["silent_s"] < 0.1
 
@@ -71,7 +75,8 @@ def test_a_state_is_json_without_messages_that_come(run: Frames) -> None:
 def test_each_as_state_has_the_lights_of_the_car(code: int, colour: str, flashes: bool) -> None:
     payload = bytearray(DRIVING)
     payload[2] = payload[2] & 0xF0 | code
-    assert state_of(seen(status(bytes(payload))))["light"] == {"colour": colour, "flashes": flashes}
+    light = state_of(seen(status(bytes(payload))))["light"]
+    assert (light["colour"], light["flashes"]) == (colour, flashes)
 
 
 def test_nothing_received_is_no_state_and_unknown_lights() -> None:
@@ -119,7 +124,23 @@ def test_events_are_the_newest_first_and_none_of_later(run: Frames) -> None:
     assert times == sorted(times, reverse=True) and times[0] <= 20.0 and len(events) <= EVENTS
 
 
-# ---------------------------------------------------------------- the way driven
+def test_states_of_a_log_are_those_of_its_moments_but_for_curves(run: Frames) -> None:
+    driven_ns = int(run.t_ns[0]) + 18 * S
+    told = list(states_of(run, View("can0", "2026"), [driven_ns], 0))
+    shown: dict[str, Any] = {}
+    for t_s, changes in told:
+        shown |= changes
+        if t_s == driven_ns / S:
+            break
+    whole = state_of(seen(run.only(run.t_ns <= driven_ns), driven_ns))
+    numbers = {"speed_mps", "load", "actuators"}
+    assert len(told) > 25 and {name: shown[name] for name in whole if name not in numbers} == {
+        name: value for name, value in whole.items() if name not in numbers
+    }
+    assert set(shown["actuators"]["steering"]) == {"limit", "unit"} and "speed_mps" not in shown
+
+
+# ---------------------------------------------------------------- the driven path
 
 
 def traced(frames: Frames, step_ns: int) -> Trace:

@@ -17,9 +17,10 @@ from selenium.webdriver.common.by import By
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Picture
 from fsai_vcu.diagnostics.monitor.view import View
-from fsai_vcu.diagnostics.pitwall.board import events_of, state_of
-from fsai_vcu.diagnostics.pitwall.server import Server
+from fsai_vcu.diagnostics.page.board import events_of, state_of
+from fsai_vcu.diagnostics.page.server import Server
 from fsai_vcu.diagnostics.serving import Connection
+from fsai_vcu.interface.lights import light_of
 from fsai_vcu.interface.units import S
 
 pytestmark = needs_browser
@@ -115,13 +116,17 @@ def test_a_driving_car_is_shown_and_names_stay_text(browser: Chrome, driving: tu
         assert (text(browser, "state"), text(browser, "channel")) == ("AS_DRIVING", NAME)
         assert while_fresh(browser, lambda: browser.title) == f"AS_DRIVING · {NAME}"
         assert "lights yellow, flashing" in text(browser, "held")
-        assert not browser.find_element(By.ID, "why-tile").is_displayed()
+        tile, lamp = (browser.find_element(By.ID, name) for name in ("state-tile", "lamp"))
+        assert tile.value_of_css_property("background-color") == "rgba(255, 200, 0, 1)"  # while the lamp flashes
+        assert [each.value_of_css_property("animation-name") for each in (tile, lamp)] == ["none", "flash"]
+        assert not browser.find_element(By.ID, "why-name").is_displayed()
         assert float(text(browser, "speed").split()[0]) > 3.0
-        assert text(browser, "faults") == "none"
+        assert "no faults" in text(browser, "chips") and not browser.find_element(By.ID, "faults-name").is_displayed()
+        assert text(browser, "lap").split() == ["1", "of", "1"] and "of 500 kbit/s" in text(browser, "load")
         until(browser, lambda: "AS_READY → AS_DRIVING" in text(browser, "events"))
         assert points(browser, "way") == 4 and cones(browser) == {}
         until(browser, lambda: not stale(browser))
-        assert (text(browser, "track-name"), text(browser, "bus-name")) == ("way driven", "bus")
+        assert (text(browser, "track-name"), text(browser, "bus-name")) == ("driven path", "bus")
         given = browser.find_elements(By.CSS_SELECTOR, "#actuators i")
         assert len(given) == 5 and max(bar.size["width"] for bar in given) > 20
         assert heard(browser, "browser") == []  # nothing was refused by the policy either
@@ -161,37 +166,64 @@ def test_of_silent_nodes_the_page_shows_the_silence_alone(
             until(browser, lambda: len(cones(browser)) == 5)
         with publishing(server, {**driving[0], **silence, "run": "2"}, with_nodes[1]):  # the story is not told anew yet
             until(browser, lambda: "nothing received for 2000 ms" in text(browser, "bus"))
-            assert cones(browser) == {} and text(browser, "track-name") == "way driven"
+            assert cones(browser) == {} and text(browser, "track-name") == "driven path"
             assert [points(browser, name) for name in ("way", "path", "doubted", "stop")] == [1, 0, 0, 0]
 
 
 CUT = (
     "[...document.querySelectorAll('section, #state, td, th, li, header')].filter((one) =>"
-    " one.clientWidth && (one.scrollWidth > one.clientWidth + 1 || (one.id != 'event-tile'"
+    " one.clientWidth && (one.scrollWidth > one.clientWidth + 1 || (one.id != 'news-tile'"
     " && one.tagName == 'SECTION' && one.scrollHeight > one.clientHeight + 1))).map((one) => one.outerHTML)"
 )
 SIZE = "document.documentElement.scrollWidth, document.documentElement.scrollHeight"
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), SCREENS)
-def test_no_screen_cuts_anything_off(
-    browser: Chrome, driving: tuple[Any, Any], with_nodes: tuple[Any, Any], width: int, height: int, scheme: str
-) -> None:
-    faults = [{"names": ["EBS_FAULT"], "text": "the emergency brake system failed", "remedy": "check the air"}]
-    why = [{"text": "the VCU braked because of an EBS fault", "remedy": "power-cycle"}]
-    light = {"colour": "blue", "flashes": True}
+@pytest.fixture(scope="module")
+def states(driving: tuple[Any, Any], with_nodes: tuple[Any, Any]) -> list[dict[str, Any]]:
+    """A drive and an emergency brake, without and with what the nodes say."""
     braking = {
         "as_state": "EMERGENCY_BRAKE",
         "driving": False,
-        "faults": faults,
-        "why_not_driving": why,
-        "light": light,
+        "faults": [{"names": ["EBS_FAULT"], "text": "the emergency brake system failed", "remedy": "check the air"}],
+        "why_not_driving": [{"text": "the VCU braked because of an EBS fault", "remedy": "power-cycle"}],
+        "light": light_of("EMERGENCY_BRAKE")._asdict(),
     }
-    (state, _), (more, story) = driving, with_nodes
+    (state, _), (more, _) = driving, with_nodes
+    return [{**each, "channel": "can0"} for each in (state, {**state, **braking}, more, {**more, **braking})]
+
+
+PLACES = (
+    "return [...document.querySelectorAll('main section')].map((one) => {"
+    " const box = one.getBoundingClientRect(); return [one.id, box.x, box.y, box.width, box.height]; })"
+)
+
+
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_the_grid_does_not_move_when_the_state_changes(
+    browser: Chrome, driving: tuple[Any, Any], states: list[dict[str, Any]], width: int, height: int
+) -> None:
+    silent = {**state_of(Picture(0, "can0", "2026", "", 0)), "clock": "", "pose": [0, 0, 0], "run": "1"}
+    set_screen(browser, width, height, mobile=width < 700, scheme="light")
+    places: list[Any] = []
+    with Server("127.0.0.1", 0) as server:
+        for shown in (*states, silent):
+            with publishing(server, shown, driving[1]):
+                if not places:
+                    opened(browser, server)
+                name = shown["as_state"] or "no AS state"
+                until(browser, lambda name=name: text(browser, "state") == name)  # type: ignore[misc]
+                places.append(while_fresh(browser, lambda: browser.execute_script(PLACES)))
+    assert len(places[0]) == 7 and all(each == places[0] for each in places)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_no_screen_cuts_anything_off(
+    browser: Chrome, with_nodes: tuple[Any, Any], states: list[dict[str, Any]], width: int, height: int, scheme: str
+) -> None:
     set_screen(browser, width, height, mobile=width < 700, scheme=scheme)
-    for shown in (state, {**state, **braking}, more, {**more, **braking}):
-        with Server("127.0.0.1", 0) as server, publishing(server, {**shown, "channel": "can0"}, story):
+    for shown in states:
+        with Server("127.0.0.1", 0) as server, publishing(server, shown, with_nodes[1]):
             opened(browser, server)
             until(browser, lambda shown=shown: text(browser, "state") == shown["as_state"])  # type: ignore[misc]
             cut, needed, high = while_fresh(browser, lambda: browser.execute_script(f"return [{CUT}, {SIZE}]"))
@@ -218,11 +250,11 @@ def test_lost_values_are_grey_at_once_until_they_come_again(
             opened(browser, server)
             assert not while_fresh(browser, browser.find_element(By.ID, "banner").is_displayed)
         until(browser, lambda: stale(browser))  # the server lives, and says nothing
-        until(browser, lambda: text(browser, "banner").startswith("connection lost since "))
-        assert browser.title.startswith("connection lost")
+        until(browser, lambda: text(browser, "banner").startswith("no data for "))
+        assert browser.title.startswith("no data")
         main = browser.find_element(By.TAG_NAME, "main")
         assert main.value_of_css_property("filter") == "grayscale(1)"
-        assert browser.find_element(By.ID, "state-tile").value_of_css_property("animation-name") == "none"
+        assert browser.find_element(By.ID, "lamp").value_of_css_property("animation-name") == "none"
         until(browser, lambda: len(asked) > 1)  # it asks anew: a network may have lost the connection unsaid
         with publishing(server, *driving):
             assert not while_fresh(browser, browser.find_element(By.ID, "banner").is_displayed)
@@ -244,7 +276,7 @@ def test_what_a_network_held_back_is_not_shown_as_of_now(browser: Chrome, drivin
         # As if the first event had come 3 s sooner; no new connection is tried, for which another would be the first.
         sooner = "if (quickestMs < Infinity) { quickestMs -= 3000; triedMs = Infinity; return true; }"
         until(browser, lambda: browser.execute_script(sooner))
-        until(browser, lambda: stale(browser) and text(browser, "banner").startswith("connection lost since 3."))
+        until(browser, lambda: stale(browser) and text(browser, "banner").startswith("no data for 3."))
 
 
 def test_a_silent_bus_is_said_though_the_server_speaks(browser: Chrome) -> None:

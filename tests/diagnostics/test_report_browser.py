@@ -14,15 +14,25 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from story_runs import branch, driving, page
 
-from fsai_vcu.interface.enums import MissionStatus
+from fsai_vcu.diagnostics.explain import Record
+from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.diagnostics.page.curves import plots
+from fsai_vcu.diagnostics.page.document import of_log
+from fsai_vcu.diagnostics.page.server import Server
+from fsai_vcu.diagnostics.verdict import judged
+from fsai_vcu.interface.enums import AsState, MissionStatus
+from fsai_vcu.interface.lights import LIGHTS
+from fsai_vcu.interface.units import MS
 
 pytestmark = needs_browser
 
 # Pixels of a canvas that have the colour of the first line.
 COLOURED = """
-    const [canvas, name] = arguments;
+    const [canvas, name] = arguments; // of CSS, or a colour
     const probe = document.createElement("canvas").getContext("2d");
-    probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    const style = getComputedStyle(document.documentElement);
+    probe.fillStyle = name.startsWith("#") ? name : style.getPropertyValue(name).trim();
     probe.fillRect(0, 0, 1, 1);
     const [r, g, b] = probe.getImageData(0, 0, 1, 1).data;
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -35,17 +45,22 @@ COLOURED = """
 
 
 @pytest.fixture(scope="module")
-def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of a run that ended in an emergency brake: it has everything on it."""
+def frames() -> Frames:
+    """A run that ended in an emergency brake."""
     from fsai_hil.simulator.faults import WrongValues
 
     def spoil(run: Any) -> None:
         values = {"mission_status": MissionStatus.FINISHED}
         run.spoil(WrongValues(frozenset({0x510}), run.lockstep.world.codec, values))
 
-    log = branch(driving(), spoil, 1.0)
+    return branch(driving(), spoil, 1.0).frames
+
+
+@pytest.fixture(scope="module")
+def html(frames: Frames, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its page has everything on it."""
     path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(page(log.frames, "a <b>run</b> & its log with a rather long name, 2026-11-21_23-05-17.log"))
+    path.write_text(page(frames, "a <b>run</b> & its log with a rather long name, 2026-11-21_23-05-17.log"))
     return path
 
 
@@ -63,7 +78,7 @@ def shown(browser: Chrome, html: Path) -> Callable[..., Chrome]:
         set_screen(browser, width, height, mobile=mobile, scheme=scheme)
         heard(browser, "browser"), heard(browser, "performance")
         browser.get(html.as_uri())
-        until(browser, lambda: browser.find_element(By.ID, "range").text)
+        until(browser, lambda: browser.find_element(By.ID, "now").text)
         return browser
 
     return show
@@ -88,8 +103,8 @@ def test_every_plot_is_drawn_and_the_console_is_silent(
         pixels = [browser.execute_script(COLOURED, canvas, f"--c{number}") for number in numbers]
         assert any(count > 40 for count in pixels), (canvas.get_attribute("id"), pixels)
     lanes = browser.find_element(By.ID, "lanes")
-    assert browser.execute_script(COLOURED, lanes, "--go") > 200, "AS_DRIVING is not to be seen"
-    assert browser.execute_script(COLOURED, lanes, "--alarm") > 20, "the emergency brake is not to be seen"
+    for state, least in ((AsState.AS_DRIVING, 200), (AsState.EMERGENCY_BRAKE, 20)):
+        assert browser.execute_script(COLOURED, lanes, LIGHTS[state].fill) > least, f"{state.label} is not to be seen"
 
 
 @pytest.mark.parametrize("width", [320, 390, 768])
@@ -141,17 +156,18 @@ def test_a_time_in_the_story_leads_to_that_moment_in_the_plots(shown: Callable[.
     t_s = float(button.get_attribute("data-t") or "nan")
     button.click()
     until(browser, lambda: browser.find_element(By.ID, "range").text != before)
-    shown_s = browser.find_element(By.ID, "range").text.split("s, ")[-1].removesuffix(" s").split(" to ")
+    shown_s = browser.find_element(By.ID, "range").text.removesuffix(" s").split(" to ")
     assert float(shown_s[0]) <= t_s <= float(shown_s[1]) <= float(shown_s[0]) + 2.0
     values = [key.text for key in browser.find_elements(By.CSS_SELECTOR, "#legend-speed b")]
-    assert all(float(value) > 1.0 for value in values[:4]), values
+    assert all(float(value) > 1.0 for value in values[:5]), values
+    assert browser.find_element(By.ID, "now").text == f"{t_s:.2f} s"
     assert "ASMS on" in browser.find_element(By.ID, "legend-lanes").text
 
 
 def test_dragging_zooms_and_a_double_click_shows_all(shown: Callable[..., Chrome]) -> None:
     browser = shown(1280)
     canvas = canvases(browser)[0]
-    whole = browser.find_element(By.ID, "range").text.split("s, ")[-1]
+    whole = browser.find_element(By.ID, "range").text
     drag = ActionChains(browser).move_to_element_with_offset(canvas, -100, 0).click_and_hold()
     drag.move_by_offset(200, 0).release().perform()
     until(browser, lambda: whole not in browser.find_element(By.ID, "range").text)
@@ -169,6 +185,72 @@ def test_plots_work_with_the_keyboard_and_have_text_alternatives(shown: Callable
         assert canvas.get_attribute("role") == "img"
         assert " from " in canvas.get_attribute("aria-label")
     canvas = canvases(browser)[0]
+    before = browser.find_element(By.ID, "now").text
     canvas.send_keys("+")
-    canvas.send_keys("\ue014")  # arrow to the right
-    until(browser, lambda: browser.find_element(By.ID, "range").text.startswith("at "))
+    canvas.send_keys("\ue012")  # arrow to the left
+    until(browser, lambda: browser.find_element(By.ID, "now").text != before)
+
+
+# Moves the slider as a person does, and gives what the page then shows: state, speed, steering, legends of the plots.
+SLID = """
+    const [t, done] = arguments, slider = document.getElementById("time");
+    slider.value = t;
+    slider.dispatchEvent(new Event("input"));
+    const texts = (selector) => [...document.querySelectorAll(selector)].map((one) => one.textContent);
+    requestAnimationFrame(() => requestAnimationFrame(() => done({
+        t: Number(slider.value), state: texts("#state-name")[0], speed: texts("#speed b")[0],
+        given: texts("#actuators tr td:last-child"), asked: texts("#actuators tr td:nth-child(3)"),
+        values: Object.fromEntries([...document.querySelectorAll(".legend[id^=legend-]")].map((one) =>
+            [one.id, [...one.querySelectorAll("b")].map((each) => each.textContent)])),
+    })));
+"""
+
+
+def test_the_slider_shows_state_and_values_of_that_time(shown: Callable[..., Chrome], frames: Frames) -> None:
+    browser, record = shown(1280), Record(frames)
+    length_s = (record.end_ns - record.begin_ns) / 1e9
+    for share in (0.31, 0.93, 0.5, 0.99):
+        seen = browser.execute_async_script(SLID, round(share * length_s, 2))
+        t_ns = record.begin_ns + round(seen["t"] * 1e9) + MS // 10 - 1  # the page knows tenths of ms
+        assert seen["t"] == pytest.approx(share * length_s, abs=0.011)
+        assert seen["state"] == sig.label(sig.AS_STATE, record.at(sig.AS_STATE, t_ns))
+        wheels = [record.at(signal, t_ns) or 0.0 for signal in sig.WHEELS]
+        speed_mps = record.car.speed_of_wheel_rpm(sum(wheels) / 4)
+        assert float(seen["speed"]) == pytest.approx(speed_mps, abs=0.0551)
+        pairs = ((sig.STEER, sig.ANGLE), (sig.TORQUE_F, sig.CAR_TORQUE[0]), (sig.TORQUE_R, sig.CAR_TORQUE[1]))
+        for row, signals in enumerate((*pairs, (sig.BRAKE_REQ_F, sig.BRAKE_F), (sig.BRAKE_REQ_R, sig.BRAKE_R))):
+            told = (seen["asked"][row], seen["given"][row].split(" ")[0])
+            assert [float(each) for each in told] == pytest.approx([record.at(s, t_ns) for s in signals], abs=0.0551)
+        for plot in plots(record):
+            curves = [curve for curve in plot.curves if curve.drawn]
+            for curve, value in zip(curves, seen["values"][f"legend-{plot.slug}"], strict=True):
+                if plot.slug not in ("handshake", "load"):  # between whose points a line is drawn
+                    expected = curve.series.at(t_ns)
+                    assert float(value) == pytest.approx(expected, abs=0.51 * 10**-plot.digits), curve.name
+
+
+def test_a_served_log_is_allowed_all_that_it_needs(browser: Chrome, frames: Frames) -> None:
+    with Server("127.0.0.1", 0) as server:
+        server.html = of_log(judged(frames), "run.log", whole=False)
+        browser.get("about:blank")
+        heard(browser, "browser")
+        browser.get(f"http://127.0.0.1:{server.server_address[1]}/")
+        until(browser, lambda: browser.find_element(By.ID, "state").text == "EMERGENCY_BRAKE")
+        assert heard(browser, "browser") == []
+        assert browser.find_element(By.TAG_NAME, "main").value_of_css_property("display") == "grid"
+
+
+def test_a_log_plays_from_its_first_frame_when_it_is_asked_to(browser: Chrome, frames: Frames, tmp_path: Path) -> None:
+    path = tmp_path / "played.html"
+    path.write_text(of_log(judged(frames), "run.log", rate=8.0))
+    browser.get(path.as_uri())
+    times = []
+
+    def played() -> bool:
+        times.append(float(browser.find_element(By.ID, "now").text.removesuffix(" s") or "nan"))
+        return times[-1] > 2.0
+
+    until(browser, played)
+    browser.find_element(By.ID, "play").click()
+    until(browser, lambda: browser.find_element(By.ID, "play").text == "▶")
+    assert times == sorted(times)

@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.explain.incident import IncidentKind
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.monitor.snapshot import Picture
 from fsai_vcu.diagnostics.monitor.view import View
-from fsai_vcu.diagnostics.pitwall.board import state_of
+from fsai_vcu.diagnostics.page.board import state_of
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.reserved import AI_IDS
 

@@ -16,8 +16,11 @@ from fsai_hil.simulator.plot import picture
 from fsai_hil.simulator.world import PathSample, Run, World, WorldSetup
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.lights import LIGHTS
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'fsai-vcu[plot]'")
+from matplotlib.colors import to_hex
+
 DRIVING = AsState.AS_DRIVING
 
 
@@ -46,7 +49,8 @@ def test_the_picture_marks_hits_departures_laps_and_states(run: Run) -> None:
     assert lines >= {"throttle", "brake"}
     crossed = [line for line in speed.lines if len(line.get_xdata()) == 2 and line.get_linestyle() == ":"]
     assert len(crossed) == len(run.judge.crossings_s) == 1
-    assert [patch.get_label() for patch in speed.patches] == ["AS_DRIVING"]
+    (band,) = speed.patches
+    assert band.get_label() == "AS_DRIVING" and to_hex(band.get_facecolor()) == LIGHTS[DRIVING].fill
     (outline,) = [line.get_ydata() for line in steering.lines if line.get_label() == "steering asked"]
     assert set(outline) == {2.0}
 

@@ -7,14 +7,13 @@ import os
 import signal
 import time
 from collections.abc import Iterator, Sequence
-from itertools import accumulate
 from typing import Any, ClassVar, Final
 
 from rich.text import Text
 from textual import events
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import VerticalScroll
+from textual.containers import Horizontal, VerticalScroll
 from textual.widget import Widget
 from textual.widgets import Input, OptionList, Static
 
@@ -39,12 +38,22 @@ n, N        the next, the previous change of the AS state
 g           a second to go to
 
 What changed within the last second is highlighted. The AS state
-has the colour of the car's lights, and flashes as they do.
+has the colour of the car's lights; its lamp flashes as they do.
 Nothing is ever sent."""
-FOOT: Final = ("q quit", "? help", "p pause", "Tab page", "/ find")  # the most needed first: as many as fit
-FOOT_OF_A_LOG: Final = ("q quit", "? help", "p pause", "← → 1 s", "Tab page", "n N state", "g second", "/ find")
+# Keys and what they do, the most needed first: as many as fit
+FOOT: Final = (("q", "quit"), ("?", "help"), ("p", "pause"), ("Tab", "page"), ("/", "find"))
+FOOT_OF_A_LOG: Final = (
+    *FOOT[:3],
+    ("← →", "1 s"),
+    ("Tab", "page"),
+    ("n N", "state"),
+    ("g", "second"),
+    ("/", "find"),
+)
 _BLINK_S: Final = 0.5
 _WIDE: Final = 60
+_BESIDE: Final = 110  # columns from which on bars and trends stand beside the overview …
+_LEFT: Final = 72  # … which takes so many at least
 
 
 class MonitorApp(App[None]):
@@ -53,7 +62,9 @@ class MonitorApp(App[None]):
     CSS = """
     Static { height: auto; }
     #head, #foot, Input { height: 1; }
-    #foot { text-style: dim; text-wrap: nowrap; }
+    #foot { text-wrap: nowrap; }
+    #both { height: 1fr; }
+    #side { padding-left: 1; }
     #scroll, OptionList { scrollbar-size-vertical: 1; overflow-x: hidden; }
     OptionList { border: none; padding: 0; height: 1fr; text-wrap: nowrap; text-overflow: clip; }
     """
@@ -96,12 +107,14 @@ class MonitorApp(App[None]):
         self._events: tuple[float, list[TimelineEntry]] | None = None
         self._head, self._text = Static(id="head"), Static()
         self._scroll = VerticalScroll(self._text, id="scroll")
+        self._side = Static(id="side")
+        self._both = Horizontal(self._scroll, self._side, id="both")
         self._list = OptionList(markup=False)
         self._input = Input(compact=True)
         self._foot = Static(id="foot", markup=False)
 
     def compose(self) -> ComposeResult:
-        yield from (self._head, self._scroll, self._list, self._input, self._foot)
+        yield from (self._head, self._both, self._list, self._input, self._foot)
 
     def on_mount(self) -> None:
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -142,15 +155,21 @@ class MonitorApp(App[None]):
         self.moment = self._source.look()
         width, height = self.size
         page = self._page if width >= _WIDE else ""
-        keys = accumulate(FOOT_OF_A_LOG if self._replayed else FOOT, "{} {}".format)
-        self._foot.update(max((text for text in keys if len(text) <= width), key=len, default=""), layout=False)
+        self._foot.update(drawing.badges(FOOT_OF_A_LOG if self._replayed else FOOT, width), layout=False)
         self._head.update(drawing.head(self.moment.picture, self._position(), width, page), layout=False)
         if self._page == "help":
+            self._side.display = False
             self._text.update(HELP)
             self._height = 0
         elif self._page == "overview":
+            side = min(self.size.width - _LEFT, 60) if self.size.width >= _BESIDE else 0
+            self._side.display = bool(side)
+            if side:
+                self._side.styles.width = side
+                view, picture = self.moment.view, self.moment.picture
+                self._side.update(drawing.instruments(picture, view.trends(picture.t_ns), side - 2), layout=False)
             dark = self._source.playing and time.monotonic() % (2 * _BLINK_S) > _BLINK_S
-            text = drawing.overview(self.moment.picture, width - 1, height, dark_phase=dark)
+            text = drawing.overview(self.moment.picture, width - 1 - side, height, dark_phase=dark)
             self._text.update(text, layout=text.plain.count("\n") != self._height)
             self._height = text.plain.count("\n")
         else:
@@ -220,7 +239,7 @@ class MonitorApp(App[None]):
     def action_page(self, page: str) -> None:
         self._page = page
         is_text = page in ("overview", "help")
-        self._scroll.display, self._list.display = is_text, not is_text
+        self._both.display, self._list.display = is_text, not is_text
         self._list.styles.text_wrap = "wrap" if page == "events" else "nowrap"
         self._list.clear_options()
         self._rows = []

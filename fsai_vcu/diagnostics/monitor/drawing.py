@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
 from rich.text import Text
 
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
+from fsai_vcu.diagnostics.explain.record import Series
 from fsai_vcu.diagnostics.monitor import snapshot
-from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
+from fsai_vcu.diagnostics.monitor.view import TREND_NS
+from fsai_vcu.interface.lights import light_of
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.units import KMH_PER_MPS
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM
+from fsai_vcu.interface.units import KMH_PER_MPS, MS
 from fsai_vcu.printable import printable
 
 STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
@@ -22,6 +28,9 @@ _FINDING_STYLES: Final = {"problem": BAD, "unknown": WARN, "note": FAINT}
 _SHORT: Final = 20  # lines: on fewer the reasons go before everything else
 _NARROW: Final = 70
 _MANY_REASONS: Final = 4
+_BLOCKS: Final = "▁▂▃▄▅▆▇█"
+_OLD_NS: Final = 250 * MS  # a value so old is not drawn on
+STEER_SHOWN_DEG: Final = 30.0
 
 
 def line(*parts: str | tuple[str, str], wrap: bool = False) -> Text:
@@ -41,7 +50,7 @@ def head(picture: Picture, clock: str, width: int, page: str = "") -> Text:
 def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = False) -> Text:
     """The state, why the car is not driving, what is wrong, what is asked and given, the messages.
 
-    width, height: of the screen. dark_phase: what flashes is off at the moment.
+    width, height: of the screen. dark_phase: a lamp that flashes is off at the moment.
     """
     short = height < _SHORT
     lines = [*_state(picture, dark_phase)[: 2 if short else 3], *_why(picture, width, remedies=not short)]
@@ -97,14 +106,86 @@ def event_row(event: TimelineEntry, clock: str, *, later: bool) -> Text:
     return line((f"{clock:>12}  ", FAINT), (event.text, FAINT if later else _WEIGHT_STYLES[event.weight]))
 
 
+def badges(keys: Sequence[tuple[str, str]], width: int) -> Text:
+    """Keys, each with what it does: as many as fit."""
+    text = Text(no_wrap=True)
+    for key, word in keys:
+        gap = " " if text else ""
+        if len(text) + len(gap) + len(key) + len(word) + 3 > width:
+            break
+        text.append(gap).append(f" {key} ", "reverse").append(f" {word}")
+    return text
+
+
+def instruments(picture: Picture, trends: Mapping[str, Series], width: int) -> Text:
+    """Bars and the last ten seconds, for the space beside the overview. trends: by name, as of View.trends."""
+    lines = []
+    speed = snapshot.NO_VALUE if picture.speed_mps is None else f"{picture.speed_mps:.1f} m/s"
+    lap = "" if picture.lap is None else f"laps driven: {picture.lap}"
+    if picture.laps and picture.lap is not None and picture.mission_status != "FINISHED":
+        lap = f"lap {min(picture.lap + 1, picture.laps)} of {picture.laps}"
+    lines.append(line(f"{'speed':13}", (speed, STRONG), f"   {lap}"))
+    lines.append(_trend(trends.get("speed"), picture.t_ns, width, least=1.0))
+    if picture.lap_times_s:
+        times = (f"{place}: {time_s:.1f} s" for place, time_s in enumerate(picture.lap_times_s, 1))
+        lines.append(line(f"{'lap times':13}", "  ".join([*times][-3:])))
+    lines.append(line(""))
+    for name, one in picture.actuators.items():
+        both = name == "steering"
+        full = STEER_SHOWN_DEG if both else 100.0 if one.unit == "%" else AXLE_TORQUE_MAX_NM
+        lines.append(_bar(name, one, full, width, both=both))
+        lines += [_trend(trends.get(f"{name} given"), picture.t_ns, width, least=full / 20), line("")]
+    load = "" if picture.load is None else f" {picture.load:4.0%} of {picture.bitrate / 1000:.0f} kbit/s"
+    whole = Actuator(None, picture.load, None, "")
+    return Text("\n").join([*lines, _bar("bus load", whole, 1.0, width - len(load), both=False).append(load)])
+
+
+def _bar(name: str, one: Actuator, full: float, width: int, *, both: bool) -> Text:
+    """What is given as a bar from 0 on, what is asked for as a mark, the limit as an edge; left is positive."""
+    room = max(8, width - 13)
+    zero = room // 2 if both else 0
+
+    def place(value: float) -> int:
+        share = value / full
+        return min(room - 1, max(0, round(zero - share * zero if both else share * (room - 1))))
+
+    cells = [("·", FAINT)] * room
+    if one.limit is not None:
+        for edge in {place(one.limit), place(-one.limit if both else one.limit)}:
+            cells[edge] = ("╎", WARN)
+    if one.given is not None:
+        low, high = sorted((zero, place(one.given)))
+        cells[low : high + 1] = [("█", "blue")] * (high + 1 - low)
+    if one.asked is not None:
+        cells[place(one.asked)] = ("┃", STRONG)
+    return line(f"{name:13}", *cells)
+
+
+def _trend(series: Series | None, now_ns: int, width: int, *, least: float) -> Text:
+    """The last ten seconds, a column for each part of them; `least`: so high is the top at least."""
+    room = max(8, width - 13)
+    if series is None or not len(series):
+        return line("")
+    t_ns = now_ns - TREND_NS + np.arange(1, room + 1) * (TREND_NS // room)
+    rows = np.searchsorted(series.t_ns, t_ns, side="right") - 1
+    known = (rows >= 0) & (t_ns - series.t_ns[np.maximum(rows, 0)] < _OLD_NS)
+    values = series.values[np.maximum(rows, 0)]
+    low, high = min(0.0, float(values.min())), max(least, float(values.max()))
+    if low < 0.0:
+        low, high = min(low, -high), max(high, -low)
+    levels = np.rint((values - low) / (high - low) * (len(_BLOCKS) - 1)).astype(int).tolist()
+    text = "".join(_BLOCKS[level] if shown else " " for level, shown in zip(levels, known.tolist(), strict=True))
+    return line(" " * 13, (text, "blue"))
+
+
 # ---------------------------------------------------------------- parts of the overview
 
 
 def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     state = picture.as_state
-    colour, flashes = snapshot.LIGHTS.get(state or "", ("", False))
-    style = STRONG if dark_phase and flashes else _LIGHT_STYLES.get(colour, STRONG)
-    shown = (state, style) if state else ("no AS state", BAD)
+    light = light_of(state)
+    lamp = "" if light.colour not in _LIGHT_STYLES else "○ " if dark_phase and light.flashes else "● "
+    shown = (lamp + state, _LIGHT_STYLES.get(light.colour, STRONG)) if state else ("no AS state", BAD)
     held = f" for {snapshot.duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
     switches = (("Go", picture.go), ("ASMS", picture.as_switch), ("TSMS", picture.ts_switch))
     styles = {None: "", True: GOOD, False: WARN}

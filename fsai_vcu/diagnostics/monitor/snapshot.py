@@ -13,17 +13,10 @@ from typing import Any, Final
 
 from fsai_vcu.core.supervision.start_conditions import Obstacle
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-from fsai_vcu.diagnostics.statistics.measure import Handshake, as_json
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, Handshake, as_json
 from fsai_vcu.printable import printable
 
 NO_VALUE: Final = "-"
-LIGHTS: Final = {
-    "AS_READY": ("yellow", False),
-    "AS_DRIVING": ("yellow", True),
-    "EMERGENCY_BRAKE": ("blue", True),
-    "AS_FINISHED": ("blue", False),
-}
-"""The car's own lights (interface specification v4.0, ASSI): colour, and whether they flash. In other states: off."""
 
 
 class Freshness(Enum):
@@ -100,7 +93,9 @@ class Picture:
     mission_status: str | None = None
     direction: str | None = None
     estop_request: bool | None = None
-    lap: int | None = None  # as the AI computer counts
+    lap: int | None = None  # completed, as the AI computer counts
+    laps: int | None = None  # of this mission, by the rules
+    lap_times_s: tuple[float, ...] = ()  # of this run, or the last; the first from where the car moved off
     cones: int | None = None  # that it sees now
     go: bool | None = None
     as_switch: bool | None = None
@@ -117,7 +112,8 @@ class Picture:
     shutdown_cause: str | None = None
     handshake: Handshake | None = None
     handshake_waiting_s: float | None = None  # since a toggle that has not been answered yet
-    load: float | None = None
+    load: float | None = None  # share of `bitrate`, over the last seconds
+    bitrate: int = BITRATE  # bit/s
     link: tuple[str, ...] = ()  # what is wrong on the bus itself, in sentences
     findings: tuple[str, ...] = ()  # of a log: its verdict, and what was found up to here
     messages: tuple[MessagePicture, ...] = ()

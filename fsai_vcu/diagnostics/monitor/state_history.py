@@ -60,7 +60,7 @@ def _states_of() -> dict[int, Callable[[Words], Words]]:
     handshake = codec.mask(VcuStatus, "handshake")  # toggles all the time
     return {
         STATUS: only(~handshake & 0xFFFF_FFFF_FFFF_FFFF),
-        0x510: only(codec.mask(AiStatus, "estop_request", "mission_status", "direction")),
+        0x510: only(codec.mask(AiStatus, "estop_request", "mission_status", "direction", "lap_counter")),
         0x524: only(codec.mask(VcuBrake, "brake_status", "ebs_status")),
         0x525: _turning,
     }

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
@@ -15,7 +16,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.endings import emergencies
 from fsai_vcu.diagnostics.explain.evidence import error_text
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.explain.starting import why_not_driving
 from fsai_vcu.diagnostics.explain.timeline import timeline
@@ -25,8 +26,9 @@ from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memor
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, handshake_of, keys_of, share
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
-from fsai_vcu.interface.enums import MissionStatus
+from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import S, ms
 
 EXPECTED: Final = tuple(
@@ -40,6 +42,7 @@ _UNSUPERVISED_PERIODS: Final = 10  # interface specification v4.0: ten in a row 
 _LATE_PERIODS: Final = 5
 _SLOW_ECHO_S: Final = 0.05  # half of the 100 ms that the VCU grants
 _EVENTFUL: Final = frozenset({0x510, sig.STATUS, 0x524})  # messages all of whose changes are remembered
+TREND_NS: Final = 10 * S
 _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake are all there
 
 
@@ -50,7 +53,16 @@ _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
+_RULES: Final = MissionSettings()
+_LAPS: Final[Mapping[int, int]] = {
+    Ami.SKIDPAD: 2 * _RULES.skidpad_laps_per_side,
+    Ami.AUTOCROSS: _RULES.autocross_laps,
+    Ami.TRACKDRIVE: _RULES.trackdrive_laps,
+}
 _WHEELS: Final = dict(zip(sig.WHEEL_NAMES, sig.WHEELS, strict=True))
+_MOVING: Final = sorted(
+    {signal.can_id for signals in _ACTUATORS.values() for signal in signals[:2]} | {sig.WHEELS[0].can_id}
+)
 _CAR_SPEED: Final = Signal("VCU2LOG_Dynamics1", "Speed_actual")
 _STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig.STEERING_STATUS, sig.STATUS_BRK)
 
@@ -64,6 +76,7 @@ class View:
         self._revision = revision
         self._databases = databases
         self._decoder: Decoder | None = None
+        self._spoken: str | None = revision  # as the newest picture's frames tell
         self.emergency: Incident | None = None
         self._settled = False
 
@@ -88,9 +101,25 @@ class View:
             named, nothing = self._revision or "2026", ("nothing is received on this bus",)
             return Picture(now_ns, self._channel, named, "nothing received yet", 0, link=nothing)
         record = self._record(frames)
-        self._decoder = record.decoder
+        self._decoder, self._spoken = record.decoder, record.revision.name
         self._look_for_emergency(record, now_ns)
         return _Moment(self.memory, record, now_ns).picture(self.emergency, self._channel)
+
+    def trends(self, now_ns: int, length_ns: int = TREND_NS) -> dict[str, Series]:
+        """Speed (m/s), and for each actuator 'NAME asked' and 'NAME given', over the time up to `now_ns`."""
+        frames = self.memory.window(now_ns, length_ns)
+        frames = frames.only(np.isin(frames.can_id, _MOVING))
+        if not len(frames):
+            return {}
+        record = Record(frames, self._spoken, self._databases)
+        wheels = [series for signal in sig.WHEELS if len(series := record.series(signal))]
+        found = {}
+        if wheels:
+            speeds = _speed_mps(record, np.mean([wheel.values for wheel in wheels], axis=0))
+            found["speed"] = Series(wheels[0].t_ns, speeds)
+        for name, (asked, given, _, _) in _ACTUATORS.items():
+            found |= {f"{name} asked": record.series(asked), f"{name} given": record.series(given)}
+        return found
 
     def signals(self, patterns: Sequence[str], now_ns: int) -> list[History]:
         """The signals received whose names, or MESSAGE.SIGNAL, fit one of the patterns; by what the picture showed."""
@@ -128,6 +157,10 @@ class View:
         self._settled = now_ns - span.begin_ns > _SETTLED_NS
 
 
+def _speed_mps(record: Record, wheel_rpm: Any) -> Any:
+    return wheel_rpm * CARS.get(record.revision.name, ADS_DV_2026).speed_of_wheel_rpm(1.0)
+
+
 class _Moment:
     """One look at a record."""
 
@@ -143,7 +176,6 @@ class _Moment:
         status = self._fresh(sig.STATUS)
         messages = self._messages()
         wheels = {name: value for name, signal in _WHEELS.items() if (value := self._value(signal)) is not None}
-        car = CARS.get(record.revision.name, ADS_DV_2026)
         times = record.times(sig.STATUS)
         return Picture(
             t_ns=now_ns,
@@ -161,6 +193,8 @@ class _Moment:
             direction=self._label(sig.DIRECTION),
             estop_request=self._flag(sig.ESTOP),
             lap=self._count(sig.LAP),
+            laps=None if (mission := self._count(sig.AMI)) is None else _LAPS.get(mission),
+            lap_times_s=self._lap_times_s(),
             cones=self._count(sig.CONES),
             go=self._flag(sig.GO),
             as_switch=self._flag(sig.AS_SWITCH),
@@ -169,7 +203,7 @@ class _Moment:
             driving=status and span is not None and span.value == sig.DRIVING,
             why_not_driving=tuple(why_not_driving(record, now_ns, emergency)),
             wheels_rpm=wheels,
-            speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
+            speed_mps=float(_speed_mps(record, np.mean(list(wheels.values())))) if wheels else None,
             speed_actual_kmh=self._value(_CAR_SPEED),
             actuators={
                 name: Actuator(self._value(asked), self._value(given), limit and self._value(limit), unit)
@@ -181,6 +215,7 @@ class _Moment:
             handshake=handshake_of(self._window, record.decoder),
             handshake_waiting_s=self._handshake_waiting_s(),
             load=self._load(),
+            bitrate=self._bitrate,
             link=tuple(self._link(messages)),
             messages=messages,
         )
@@ -239,8 +274,23 @@ class _Moment:
     def _load(self) -> float | None:
         if not len(self._window):
             return None
-        bitrate = self._record.decoder.databases.baudrate or BITRATE
-        return share(wire_bits(self._window), int(np.ptp(self._window.t_ns)), bitrate)
+        return share(wire_bits(self._window), int(np.ptp(self._window.t_ns)), self._bitrate)
+
+    @property
+    def _bitrate(self) -> int:
+        return self._record.decoder.databases.baudrate or BITRATE
+
+    def _lap_times_s(self) -> tuple[float, ...]:
+        """Between the steps of LAP_COUNTER in the newest stay in AS_DRIVING."""
+        run = self._record.series(sig.AS_STATE).last(self._now_ns, sig.DRIVING)
+        if run is None or not len(wheel := self._record.fastest_wheel):
+            return ()
+        end_ns = min(run.end_ns, self._now_ns)
+        turning = (wheel.t_ns >= run.begin_ns) & (wheel.values >= STANDING_RPM)
+        steps = self._record.series(sig.LAP).begun(run.begin_ns, end_ns)
+        ends = [span.begin_ns for span in steps if span.before is not None and span.value == span.before + 1.0]
+        begins = [*wheel.t_ns[turning][:1].tolist(), *ends]
+        return tuple((end - begin) / S for begin, end in zip(begins, ends, strict=False))
 
     # ------------------------------------------------------------ messages
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.lockstep import Lockstep
-from fsai_hil.simulator.plot import STATE_COLOR, bounds, car_outline, draw_track
+from fsai_hil.simulator.plot import bounds, car_outline, draw_track
 from fsai_hil.simulator.world import PathSample, Run
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.lights import LIGHTS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -227,7 +228,8 @@ class _Stage:
         laps = max(0, bisect(self._run.judge.crossings_s, t_s) - 1)
         mission = self._run.mission.name.lower()
         self._words.set_text(f"{mission}  {state.label:<15}  {t_s:6.1f} s  {speed:4.1f} m/s  laps {laps}")
-        self._words.get_bbox_patch().set_facecolor(STATE_COLOR[state])
+        self._words.get_bbox_patch().set_facecolor(LIGHTS[state].fill)
+        self._words.set_color(LIGHTS[state].ink)
         self._canvas.restore_region(self._background)
         for owner, artist in self._moving:
             if owner is self._words.figure:
@@ -237,9 +239,9 @@ class _Stage:
         return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
 
     def palette(self, times: Floats) -> Image:
-        """The colours of a few frames, for all of them."""
+        """The colours of a few frames, for all of them; the last is one: a run ends in a state of its own colour."""
         from PIL import Image
 
         rare_too = Image.Quantize.MAXCOVERAGE
-        few = [np.asarray(self.frame(t_s)) for t_s in times[:: -(-len(times) // 8)].tolist()]
+        few = [np.asarray(self.frame(t_s)) for t_s in [*times[:: -(-len(times) // 8)].tolist(), times[-1]]]
         return Image.fromarray(np.vstack(few)).quantize(GIF_COLORS, rare_too)

@@ -20,6 +20,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.lights import BAND_ALPHA, LIGHTS
 from fsai_vcu.printable import drawn
 
 if TYPE_CHECKING:
@@ -36,14 +37,6 @@ CONE_STYLE: Final = {
     ConeColor.YELLOW: ("#e8c400", 12),
     ConeColor.ORANGE: ("#ff8c1a", 12),
     ConeColor.BIG_ORANGE: ("#e65c00", 36),
-}
-STATE_COLOR: Final = {
-    AsState.AS_INIT: "#eeeeee",
-    AsState.AS_OFF: "#dddddd",
-    AsState.AS_READY: "#ffe680",
-    AsState.AS_DRIVING: "#b7e4b0",
-    AsState.EMERGENCY_BRAKE: "#ff9c9c",
-    AsState.AS_FINISHED: "#9cc4ff",
 }
 
 
@@ -193,7 +186,7 @@ def _shade_states(axes: Axes, samples: Sequence[PathSample]) -> None:
     for begin, end in pairwise([0, *changes, len(samples) - 1] if samples else ()):
         state = AsState(samples[begin].as_state)
         span_s = samples[begin].t_s, samples[end].t_s
-        axes.axvspan(*span_s, color=STATE_COLOR[state], alpha=0.6, linewidth=0, label=state.label, zorder=0)
+        axes.axvspan(*span_s, color=LIGHTS[state].fill, alpha=BAND_ALPHA, linewidth=0, label=state.label, zorder=0)
 
 
 def _title(track: Track, verdict: JudgeVerdict) -> str:

@@ -9,27 +9,24 @@ import asyncio
 import json
 import time
 from http import HTTPStatus
-from importlib.resources import files
 from typing import Any, Final
 
 from aiohttp import web
 
 from fsai_vcu.diagnostics import serving
+from fsai_vcu.diagnostics.page.document import part
 from fsai_vcu.diagnostics.serving import Connection, begun, error_page
 
-_FILES: Final = {
-    "/": ("page.html", "text/html"),
-    "/page.css": ("page.css", "text/css"),
-    "/page.js": ("page.js", "text/javascript"),
-}
+_PARTS: Final = {"/page.css": "text/css", "/page.js": "text/javascript"}
 
 
 class Server(serving.Server):
-    """`viewers`: how many streams there are."""
+    """`viewers`: how many streams there are. `html`: the page; it shows what is published unless a log is put here."""
 
     def __init__(self, host: str, port: int) -> None:
         """Raises OSError."""
         super().__init__(host, port)
+        self.html = part("page.html")
         self._news = asyncio.Event()
         self._published: dict[str, tuple[int, bytes]] = {}
         self._number = self.viewers = 0
@@ -58,10 +55,11 @@ class Server(serving.Server):
     async def answer(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
         if request.path == "/events":
             return await self._stream(request, connection)
-        if request.path not in _FILES:
+        if request.path == "/":
+            return begun(web.Response(body=self.html.encode()), "text/html")
+        if request.path not in _PARTS:
             return error_page(HTTPStatus.NOT_FOUND)
-        name, kind = _FILES[request.path]
-        return begun(web.Response(body=files("fsai_vcu.diagnostics.pitwall").joinpath(name).read_bytes()), kind)
+        return begun(web.Response(body=part(request.path[1:]).encode()), _PARTS[request.path])
 
     async def _stream(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
         response = begun(web.StreamResponse(), "text/event-stream")

@@ -1,4 +1,4 @@
-"""What the page draws: curves thinned out without losing a peak, lanes of states, the way driven; and its figures."""
+"""What the page draws of a log: curves thinned out without losing a peak, lanes of states, the driven path; figures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, LOAD_WINDOW_NS
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
-from fsai_vcu.interface.enums import MissionStatus
+from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import KMH_PER_MPS, MS, S
@@ -26,19 +26,20 @@ BREAK_NS: Final = 250 * MS  # a value so old is not drawn on: a message that sto
 LANE_SPANS: Final = 400
 CURVES: Final = 7  # of any signals on one axis: as many as there are colours
 BRIDGED_NS: Final = 250 * MS  # over a longer gap of 0x525 nothing is known of the way
-SHORT_M: Final = 1.0  # less is no way to be drawn
-POINTS: Final = 600
-SIDE: Final = 480.0
-MARGIN: Final = 12.0
+PATH_POINTS: Final = 2000  # of the driven path
+SPACING_M: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One line of a plot. `quiet` lines are drawn thin: they are there for comparison."""
+    """One line of a plot. `quiet` lines are drawn thin: they are there for comparison. `tile`: whose trend it is on the
+    board; a line that is not `drawn` is there for that alone."""
 
     name: str
     series: Series
     quiet: bool = False
+    tile: str = ""
+    drawn: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +57,17 @@ class Plot:
         parts = []
         for curve in self.curves:
             values = curve.series.values
+            if not curve.drawn:
+                continue
             parts.append(f"{curve.name} from {values.min():.{self.digits}f} to {values.max():.{self.digits}f}")
         return f"{self.title} in {self.unit} over time: {'; '.join(parts)}."
 
 
 def _axles(*signals: Signal) -> tuple[tuple[Signal, str], ...]:
     return tuple(zip(signals, ("front asked", "front given", "rear asked", "rear given"), strict=True))
+
+
+_TILES: Final = ("steering", "torque", "brake")
 
 
 LONGITUDINAL: Final = Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2")
@@ -81,15 +87,20 @@ def plots(record: Record) -> list[Plot]:
     """Every plot for which the log has something."""
     found = [Plot("speed", "Speed", "m/s", 2, _speeds(record))]
     for slug, title, unit, digits, signals in _OF_SIGNALS:
-        curves = [Curve(name, record.series(signal)) for signal, name in signals]
+        tile = f"{slug} " if slug in _TILES else ""
+        curves = [Curve(name, record.series(signal), tile=tile and tile + name) for signal, name in signals]
         pairs = [curves[at : at + 2] for at in range(0, len(curves), 2)]
-        # An axle that nobody drives is left out; what is asked and never given is shown as the flat line that it is.
-        moved = [pair for pair in pairs if any(curve.series.values.any() for curve in pair)] or pairs[:1]
-        found.append(Plot(slug, title, unit, digits, tuple(curve for pair in moved for curve in pair)))
+        # An axle that nobody drives is not drawn; what is asked and never given is shown as the flat line that it is.
+        moved = [any(curve.series.values.any() for curve in pair) for pair in pairs]
+        moved[0] |= not any(moved)
+        shown = zip(pairs, moved, strict=True)
+        found.append(
+            Plot(slug, title, unit, digits, tuple(replace(one, drawn=drawn) for pair, drawn in shown for one in pair))
+        )
     found.append(Plot("handshake", "Handshake response", "ms", 2, _handshake(record)))
-    found.append(Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record)),)))
+    found.append(Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record), tile="load"),)))
     kept = [replace(plot, curves=tuple(curve for curve in plot.curves if len(curve.series))) for plot in found]
-    return [plot for plot in kept if plot.curves]
+    return [plot for plot in kept if any(curve.drawn for curve in plot.curves)]
 
 
 def plots_of(groups: Mapping[str, Sequence[tuple[str, Series]]]) -> list[Plot]:
@@ -112,9 +123,12 @@ def _finite(series: Series, factor: float = 1.0) -> Series:
 
 def _speeds(record: Record) -> tuple[Curve, ...]:
     per_rpm = record.car.speed_of_wheel_rpm(1.0)
-    curves = []
-    for signal, name in zip(sig.WHEELS, ("front left", "front right", "rear left", "rear right"), strict=True):
-        curves.append(Curve(f"wheel {name}", _finite(record.series(signal), per_rpm)))
+    wheels = [_finite(record.series(signal), per_rpm) for signal in sig.WHEELS]
+    of_all = [wheel.values for wheel in wheels if len(wheel) == len(wheels[0])]
+    mean = Series(wheels[0].t_ns, np.mean(of_all, axis=0))
+    curves = [Curve("mean of the wheels", mean, tile="speed")]
+    for wheel, name in zip(wheels, ("front left", "front right", "rear left", "rear right"), strict=True):
+        curves.append(Curve(f"wheel {name}", wheel, quiet=True))
     for signal, name in (
         (Signal("GPS_CourseSpeed", "GPS_Speed"), "GPS"),
         (Signal("AI2VCU_Status", "VEH_SPEED_ACTUAL"), "AI's odometry (0x510)"),
@@ -128,7 +142,7 @@ def _speeds(record: Record) -> tuple[Curve, ...]:
 def _handshake(record: Record) -> tuple[Curve, ...]:
     answers = record.answers
     waits = Series(answers.toggle_ns[answers.echoed], answers.waited_ns[answers.echoed] / MS)
-    return (Curve("from toggle to echo", waits),)
+    return (Curve("from toggle to echo", waits, tile="handshake"),)
 
 
 def _load(record: Record) -> Series:
@@ -176,14 +190,16 @@ def packed(curve: Curve, digits: int, zero_ns: int, begin_ns: int, end_ns: int) 
     steps = np.diff((t_ns - zero_ns) // (MS // 10), prepend=0)
     scaled = np.round(values * 10**digits)
     numbers: list[int | None] = [None if np.isnan(value) else int(value) for value in scaled]
-    return {"name": curve.name, "quiet": curve.quiet, "dt": steps.tolist(), "v": numbers}
+    found = {"name": curve.name, "quiet": curve.quiet, "tile": curve.tile, "drawn": curve.drawn}
+    return {**found, "dt": steps.tolist(), "v": numbers}
 
 
 # ---------------------------------------------------------------- lanes
 
 
 def lanes(record: Record, zero_ns: int) -> list[dict[str, Any]]:
-    """States over time: for each lane spans of [from s, to s, label, kind], since `zero_ns`. Kinds are colours."""
+    """States over time: for each lane spans of [from s, to s, label, kind], since `zero_ns`. Kinds are colours: off,
+    plain, bad; of an AS state its label."""
     found: list[dict[str, Any]] = []
 
     def add(name: str, spans: list[tuple[int, int, str, str]]) -> None:
@@ -200,11 +216,10 @@ def lanes(record: Record, zero_ns: int) -> list[dict[str, Any]]:
         spans = record.series(signal).spans_within(BREAK_NS)
         add(name, [(s.begin_ns, s.end_ns, word(s.value), kinds.get(s.value, "plain")) for s in spans])
 
-    states = {sig.READY: "ready", sig.DRIVING: "go", sig.EMERGENCY: "bad", sig.FINISHED: "done"}
     off = {0.0: "off"}
-    of("AS state", sig.AS_STATE, dict.fromkeys(range(16), "off") | states)
+    of("AS state", sig.AS_STATE, dict.fromkeys(range(16), "off") | {float(state): state.label for state in AsState})
     of("mission", sig.AMI, off)
-    of("AI says", sig.MISSION_STATUS, {MissionStatus.NOT_SELECTED: "off", MissionStatus.RUNNING: "go"})
+    of("AI says", sig.MISSION_STATUS, {MissionStatus.NOT_SELECTED: "off"})
     of("direction", sig.DIRECTION, off)
     for signal, name in ((sig.AS_SWITCH, "ASMS"), (sig.TS_SWITCH, "TSMS"), (sig.GO, "Go")):
         of(name, signal, off, lambda value: "on" if value else "off")
@@ -232,13 +247,14 @@ def lanes(record: Record, zero_ns: int) -> list[dict[str, Any]]:
     return found
 
 
-# ---------------------------------------------------------------- the way driven
+# ---------------------------------------------------------------- the driven path
 
 
 @dataclass(frozen=True)
 class Way:
-    """x_m, y_m, heading_rad [n] in a frame with its origin and x axis where the car began; speed_mps [n]."""
+    """x_m, y_m, heading_rad [n] in a frame with its origin and x axis where the car began; speed_mps [n]; t_ns [n]."""
 
+    t_ns: Ints
     x_m: Values
     y_m: Values
     heading_rad: Values
@@ -250,7 +266,7 @@ class Way:
 
 
 def way_of(record: Record) -> Way | None:
-    """The way driven; None without wheel speeds."""
+    """The driven path; None without wheel speeds."""
     rear = [record.series(signal) for signal in sig.WHEELS[2:]]
     if not all(len(series) for series in rear):
         return None
@@ -261,7 +277,20 @@ def way_of(record: Record) -> Way | None:
     way_m = speed * np.where(steps_ns < BRIDGED_NS, steps_ns, 0) / S
     curvature = np.tan(np.radians(record.series(sig.ANGLE).sampled(t_ns))) / car.wheelbase_m
     heading = np.cumsum(way_m * curvature)
-    return Way(np.cumsum(way_m * np.cos(heading)), np.cumsum(way_m * np.sin(heading)), heading, speed)
+    return Way(t_ns, np.cumsum(way_m * np.cos(heading)), np.cumsum(way_m * np.sin(heading)), heading, speed)
+
+
+def packed_way(way: Way | None, zero_ns: int) -> dict[str, list[int]]:
+    """The path for the page, in equal steps of its length: times in 0.1 ms since `zero_ns`, cm, mrad."""
+    if way is None:
+        return {"t": [], "x": [], "y": [], "heading": []}
+    along = np.append(0.0, np.cumsum(np.hypot(np.diff(way.x_m), np.diff(way.y_m))))
+    steps = np.linspace(0.0, along[-1], min(PATH_POINTS, 2 + int(along[-1] / SPACING_M)))
+    # The last row of each place: there a car that stood moves off.
+    rows = np.append(0, np.searchsorted(along, steps, side="right") - 1)
+    found = ((way.t_ns - zero_ns) / (MS / 10), 100 * way.x_m, 100 * way.y_m, 1000 * way.heading_rad)
+    packed = [np.rint(column[rows]).astype(np.int64).tolist() for column in found]
+    return dict(zip(("t", "x", "y", "heading"), packed, strict=True))
 
 
 def figures(record: Record, way: Way | None) -> Iterator[tuple[str, str]]:
@@ -278,22 +307,3 @@ def figures(record: Record, way: Way | None) -> Iterator[tuple[str, str]]:
     missions = dict.fromkeys(label(sig.AMI, span.value) for span in record.series(sig.AMI).spans if span.value)
     if missions:
         yield "mission", ", ".join(missions)
-
-
-def drawing(way: Way | None) -> str:
-    """The way as an SVG picture that takes the page's colours; empty where the car did not move."""
-    if way is None or way.length_m < SHORT_M:
-        return ""
-    moved = np.concatenate(([True], np.hypot(np.diff(way.x_m), np.diff(way.y_m)) > 0.0))
-    x, y = way.x_m[moved], -way.y_m[moved]  # SVG's y axis points down
-    thin = np.unique(np.linspace(0, len(x) - 1, POINTS).astype(np.int64))
-    scale = (SIDE - 2 * MARGIN) / max(float(np.ptp(x)), float(np.ptp(y)))
-    points = np.stack([(x[thin] - x.min()) * scale + MARGIN, (y[thin] - y.min()) * scale + MARGIN], axis=1)
-    width, height = (float(side) * scale + 2 * MARGIN for side in (np.ptp(x), np.ptp(y)))
-    line = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
-    (ax, ay), (bx, by) = points[0], points[-1]
-    return (
-        f'<svg class="way" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="the way driven, from above:'
-        f' {way.length_m:.0f} m"><polyline points="{line}"/><circle class="from" cx="{ax:.1f}" cy="{ay:.1f}" r="5"/>'
-        f'<circle class="to" cx="{bx:.1f}" cy="{by:.1f}" r="5"/></svg>'
-    )

@@ -1,4 +1,4 @@
-"""The way driven in this run, by rear wheels and steering, as the frames come."""
+"""The driven path of this run, by rear wheels and steering, as the frames come."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.log.frames import Frames, frames_of, joined
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, Memory
-from fsai_vcu.diagnostics.report.curves import way_of
+from fsai_vcu.diagnostics.page.curves import way_of
 
 SPACING_M: Final = 0.5
 POINTS: Final = 1000  # 500 m: a lap; older ones go
@@ -41,7 +41,7 @@ class Line:
 class Trace:
     """`line` in a frame with its origin and x axis where the car began; `pose`: x, y (m), heading (rad).
 
-    It begins anew where AS_DRIVING begins, and where time went back; `run` counts that.
+    It begins again where AS_DRIVING begins, and where time went back; `run` counts that.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Trace:
         self._last = last  # the newest of each message
 
     def update(self, memory: Memory, revision: str) -> None:
-        """Go on to the newest frame. Over more than LONG_NS frames are missing: then anew, too."""
+        """Go on to the newest frame. Over more than LONG_NS frames are missing: then it begins again, too."""
         before_ns, self._t_ns = self._t_ns, memory.newest_ns or 0
         if before_ns is None or not 0 <= self._t_ns - before_ns <= LONG_NS:
             self._begin(frames_of(()))

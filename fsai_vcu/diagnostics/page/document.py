@@ -1,4 +1,4 @@
-"""The page itself: one HTML file, its own style and script inside, and a policy that forbids everything else."""
+"""The page as HTML: of a bus, or of a log with its data inside, in parts or as one file with a policy of its own."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from importlib.resources import files
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind
-from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness
-from fsai_vcu.diagnostics.explain.record import Record, Series
+from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
+from fsai_vcu.diagnostics.explain.record import Series
 from fsai_vcu.diagnostics.explain.render import before, extent, seconds
-from fsai_vcu.diagnostics.report.curves import Plot, drawing, figures, lanes, packed, plots, plots_of, way_of
+from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.diagnostics.page.board import states_of
+from fsai_vcu.diagnostics.page.curves import Plot, figures, lanes, packed, packed_way, plots, plots_of, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics
 from fsai_vcu.diagnostics.verdict import Judged, Verdict
+from fsai_vcu.interface.lights import BAND_ALPHA, LIGHTS
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3
@@ -24,49 +28,75 @@ _ALSO: Final = 3
 Chosen = dict[str, list[tuple[str, Series]]]
 
 
-def page_of(judged: Judged, name: str, chosen: Chosen | None = None) -> str:
-    """The page of a log, or of a part of it; `chosen`: signals to be plotted too, by unit."""
+def part(name: str) -> str:
+    """page.html, which is the page of a bus; page.css; page.js."""
+    return files("fsai_vcu.diagnostics.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def of_log(
+    judged: Judged,
+    name: str,
+    chosen: Chosen | None = None,
+    *,
+    whole: bool = True,
+    rate: float | None = None,
+    loop: bool = False,
+) -> str:
+    """The page of a log, or of a part of it.
+
+    chosen: signals to be plotted too, by unit; they come first. whole: one file that opens anywhere; else style and
+    script are page.css and page.js beside it. rate: it plays so many times as fast when it is opened; loop: and again.
+    """
     record, verdict, bus = judged.record, judged.verdict, judged.bus
-    style, script = _part("page.css"), _part("page.js")
-    policy = (
-        f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:;"
-        " base-uri 'none'; form-action 'none'"
+    drawn, story = plots(record), verdict.explanation
+    first = plots_of(chosen or {})
+    curves = _section("plots", "Over time", *_plots(first, drawn))
+    below = (
+        *(() if first else (curves,)),
+        _section("why", "What happened, and why", *_incidents(story)) if story.incidents else "",
+        _findings(verdict),
+        _section("run", "The run", _facts([*figures(record, way_of(record)), *_bus(bus)])),
+        *_events(story),
+        _section("figures", "Figures", *_figures(bus)),
+        "<footer>Made by <code>fsai-vcu</code> from the frames alone.</footer>\n",
+        f'<script type="application/json" id="data">{_data(judged, [*first, *drawn], rate, loop=loop)}</script>\n',
     )
-    drawn = [*plots_of(chosen or {}), *plots(record)]
-    story = verdict.explanation
-    return "".join(
-        (
-            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
-            '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n',
-            f"<title>{escape(name)}: {escape(verdict.line())}</title>\n<style>{style}</style>\n</head>\n<body>\n",
-            *_head(story, verdict, name),
-            "<main>\n",
-            _findings(verdict),
-            _section("why", "What happened, and why", *_incidents(story)) if story.incidents else "",
-            _summary(record, bus),
-            _section("plots", "Over time", *_plots(drawn)),
-            *_events(story),
-            _section("figures", "Figures", *_figures(bus)),
-            "</main>\n<footer>Made by <code>fsai-vcu report</code> from the frames alone.</footer>\n",
-            f'<script type="application/json" id="data">{_data(record, story, drawn)}</script>\n',
-            f"<script>{script}</script>\n</body>\n</html>\n",
+    title = f"<title>{escape(name)}: {escape(verdict.line())}</title>"
+    changes = {
+        "<title>pit wall</title>": title,
+        '<body class="stale">': '<body class="log">',
+        '<h1 id="channel">pit wall</h1>': f'<h1 id="channel">{escape(name)}</h1>',
+        "<!--above-->": "".join((*_head(story, verdict), _TIME, curves if first else "")),
+        "<!--below-->": "".join(below),
+    }
+    if whole:
+        style, script = part("page.css"), part("page.js")
+        policy = (
+            f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:;"
+            " base-uri 'none'; form-action 'none'"
         )
-    )
-
-
-def _part(name: str) -> str:
-    return files("fsai_vcu.diagnostics.report").joinpath(name).read_text(encoding="utf-8")
+        changes |= {
+            '<link rel="stylesheet" href="page.css">': f"<style>{style}</style>",
+            '<script src="page.js"></script>': f"<script>{script}</script>",
+            "<title>": f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n<title>',
+        }
+    html = part("page.html")
+    for place, text in changes.items():
+        html = html.replace(place, text, 1)
+    return html
 
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
+def _data(judged: Judged, drawn: list[Plot], rate: float | None, *, loop: bool) -> str:
+    record, story = judged.record, judged.verdict.explanation
     zero_ns = int(story.heading["begin_ns"])
     times_ns = zero_ns, record.begin_ns, record.end_ns
+    changes_ns = [event.t_ns for event in story.events if event.weight > Weight.NOTE]
+    changes_ns += record.series(sig.LAP).spans.begin_ns.tolist()
+    view = View(record.channel, record.revision.name, record.decoder.databases)
     data = {
         "extent": [round(seconds(story, t_ns), 4) for t_ns in (record.begin_ns, record.end_ns)],
         "plots": [
@@ -79,26 +109,46 @@ def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
             for plot in drawn
         ],
         "lanes": lanes(record, zero_ns),
+        "lights": {state.label: [light.fill, light.ink] for state, light in LIGHTS.items()},
+        "band": BAND_ALPHA,
         "marks": [[round(seconds(story, i.t_ns), 4), i.kind.words, not i.planned] for i in story.incidents],
+        "states": [[round(t_s, 4), state] for t_s, state in states_of(record.frames, view, changes_ns, zero_ns)],
+        "way": packed_way(way_of(record), zero_ns),
+        "rate": rate,
+        "loop": loop,
     }
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
+_TIME: Final = """<div class="tools" role="toolbar" aria-label="time">
+<button type="button" data-do="play" id="play" aria-label="play">▶</button>
+<select id="rate" aria-label="speed"><option value="0.25">¼×</option><option value="1" selected>1×</option>
+<option value="4">4×</option><option value="16">16×</option></select>
+<input type="range" id="time" step="0.01" aria-label="time in the log, s"><output id="now" for="time"></output>
+<span class="zoom"><button type="button" data-do="back" aria-label="plots: earlier">◀</button><button type="button"
+ data-do="out" aria-label="plots: longer">−</button><button type="button" data-do="in"
+ aria-label="plots: shorter">+</button><button type="button" data-do="on" aria-label="plots: later">▶</button><button
+ type="button" data-do="all" aria-label="plots: the whole log">all</button><output id="range"></output></span></div>
+"""
+
 # ---------------------------------------------------------------- what is read
 
 
-def _head(story: Explanation, verdict: Verdict, name: str) -> Iterator[str]:
+def _head(story: Explanation, verdict: Verdict) -> Iterator[str]:
+    """The verdict, and the cause of each thing that went wrong."""
     heading = story.heading
-    yield f"<header>\n<h1>{escape(name)}</h1>\n"
-    yield f'<p class="verdict {"good" if verdict.ok else "bad"}">{escape(verdict.line())}</p>\n'
+    yield f'<div class="verdict {"good" if verdict.ok else "bad"}"><p>{escape(verdict.line())}</p>\n'
+    for incident in [one for one in story.incidents if not one.planned][:_ALSO]:
+        when, cause = _moment(seconds(story, incident.t_ns)), incident.candidates[0].cause
+        yield f"<p>{escape(incident.kind.words)} at {when} because {escape(cause.words)}. "
+        yield f"<b>What to do:</b> {escape(cause.remedy)}.</p>\n"
     yield (
-        f"<p>{escape(extent(story))};"
+        f"</div>\n<p class=hint>{escape(extent(story))};"
         f" interface revision {escape(heading['revision'])} ({escape(heading['revision_reason'])});"
         f" {escape(story.closing)}.</p>\n"
     )
     if story.problems:
         yield "<ul class=notes>" + "".join(f"<li>{escape(problem)}</li>" for problem in story.problems) + "</ul>\n"
-    yield "</header>\n"
 
 
 def _section(slug: str, title: str, *content: str) -> str:
@@ -124,14 +174,6 @@ def _findings(verdict: Verdict) -> str:
             text = escape(verdict.moment(finding) + finding.words)
             shown += f'<li class="{finding.severity}"><b>{finding.severity}</b>: {text}.{remedy}</li>\n'
     return _section("bus", "On the bus", f'<ul class="notes">\n{shown}</ul>') if shown else ""
-
-
-def _summary(record: Record, bus: BusStatistics) -> str:
-    way = way_of(record)
-    caption = "<figcaption>The way driven, by wheels and steering</figcaption>"
-    picture = drawing(way)
-    figure = f"<figure>{caption}{picture}</figure>\n" if picture else ""
-    return _section("run", "The run", _facts([*figures(record, way), *_bus(bus)]), figure)
 
 
 def _incidents(story: Explanation) -> Iterator[str]:
@@ -168,36 +210,38 @@ def _chain(incident: Incident, one: Candidate) -> Iterator[str]:
     yield "</ol>\n"
 
 
-def _plots(drawn: list[Plot]) -> Iterator[str]:
+def _plots(first: list[Plot], drawn: list[Plot]) -> Iterator[str]:
+    """What was asked for before the lanes of states, the rest behind them."""
     yield (
-        '<div class="tools" role="toolbar" aria-label="time shown"><button type="button" data-do="out">−</button>'
-        '<button type="button" data-do="in">+</button><button type="button" data-do="back">◀</button>'
-        '<button type="button" data-do="on">▶</button><button type="button" data-do="all">all</button>'
-        '<output id="range"></output></div>\n'
-        '<p class="hint">Drag to zoom, double-click for all; on a phone two fingers. Keys in a plot: arrows, + − 0.'
-        "</p>\n"
+        '<p class="hint">A click goes to that moment. Drag to zoom, double-click for all; on a phone two fingers. Keys'
+        " in a plot: arrows, + − 0.</p>\n"
     )
+    yield from map(_plot, first)
     yield (
         '<figure><figcaption>States <span class="legend" id="legend-lanes"></span></figcaption>'
         '<canvas id="lanes" tabindex="0" role="img" aria-label="AS state, mission, switches and faults over time; the'
         ' timeline below has the same in words"></canvas></figure>\n'
     )
-    for plot in drawn:
-        legend = "".join(
-            f'<span class="key c{number}{" quiet" if curve.quiet else ""}">{escape(curve.name)} <b></b></span>'
-            for number, curve in enumerate(plot.curves)
-        )
-        yield (
-            f"<figure><figcaption>{escape(plot.title)}, {escape(plot.unit)}"
-            f' <span class="legend" id="legend-{plot.slug}">{legend}</span></figcaption>'
-            f'<canvas id="plot-{plot.slug}" tabindex="0" role="img" aria-label="{escape(plot.summary())}"></canvas>'
-            "</figure>\n"
-        )
+    yield from map(_plot, drawn)
+
+
+def _plot(plot: Plot) -> str:
+    legend = "".join(
+        f'<span class="key c{number}{" quiet" if curve.quiet else ""}">{escape(curve.name)} <b></b></span>'
+        for number, curve in enumerate(curve for curve in plot.curves if curve.drawn)
+    )
+    return (
+        f"<figure><figcaption>{escape(plot.title)}, {escape(plot.unit)}"
+        f' <span class="legend" id="legend-{plot.slug}">{legend}</span></figcaption>'
+        f'<canvas id="plot-{plot.slug}" tabindex="0" role="img" aria-label="{escape(plot.summary())}"></canvas>'
+        "</figure>\n"
+    )
 
 
 def _events(story: Explanation) -> Iterator[str]:
     count = len(story.events)
-    yield f'<section><details open><summary><h2>Timeline</h2> {count} events</summary>\n<ol class="events">'
+    yield f"<section><details open><summary><h2>Timeline</h2> {count} events</summary>\n"
+    yield '<ol class="events" id="timeline">'
     for event in story.events[:EVENTS]:
         when = _moment(seconds(story, event.t_ns))
         frame = f" <code>0x{event.can_id:03X}</code>" if event.can_id is not None else ""
