@@ -6,7 +6,6 @@ import re
 from datetime import datetime
 from typing import Final
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.rows import (
@@ -19,6 +18,7 @@ from fsai_vcu.diagnostics.log.rows import (
     REQUESTS,
     WARNING,
     WAYS,
+    Pattern,
     Rows,
     bytes_of,
     error_frame,
@@ -35,9 +35,10 @@ HEAD: Final = re.compile(
 
 _ROW = re.compile(r"(-?\d+(?:[.,]\d+)?)\s+(\S.*)")
 _PLAIN = re.compile(
-    r"\s*(\d{1,10})\.(\d{1,9})\s+(\d{1,3})\s+([0-9A-Fa-f]{1,8})([xX]?)\s+([RT])x\s+d\s+([0-8])((?:\s+[0-9A-Fa-f]{2}){0,8})\s*"
+    rb" *(?P<time>\d{1,10})\.(?P<decimals>\d{1,9}) +(?P<channel>\d{1,3}) +(?P<id>[0-9A-Fa-f]{1,8})(?P<wide>[xX]?) +"
+    rb"(?P<way>[RT])x +d (?P<length>[0-8])"
 )
-_MOST_NS: Final = MAX_SECONDS * 1_000_000_000
+_TAIL: Final = b"  Length = "  # what Vector's tools write behind the data
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,6}))?\s*([ap])?\.?m?\.?\b", re.IGNORECASE)
 # By the first letters in English, German, French, Italian, Spanish, Portuguese; ? is a letter that was garbled.
 _MONTHS: Final = (
@@ -65,7 +66,20 @@ class AscRows(Rows):
         self._start_ns = self._now_ns = 0
         self._base = 16
         self._relative = self._block_open = False
-        self._channels: dict[str, str] = {}
+
+    def pattern(self) -> Pattern | None:
+        if self._relative or self._base != 16:
+            return None
+        return Pattern(
+            _PLAIN,
+            lambda found: _channel(found["channel"].decode()),
+            lambda found: bool(found["wide"]),
+            begin_ns=self._start_ns,
+            tail=_TAIL,
+        )
+
+    def state(self) -> object:
+        return self._relative, self._base, self._start_ns
 
     def is_whole(self, line: str) -> bool:
         return super().is_whole(line) or line.strip().lower() == "end triggerblock"
@@ -74,8 +88,6 @@ class AscRows(Rows):
         return "its last trigger block has no end" if self._block_open else ""
 
     def __call__(self, line: str) -> LogFrame | None:
-        if self._base == 16 and (plain := _PLAIN.fullmatch(line)):
-            return self._plain(plain)
         text = line.strip()
         lower = text.lower()
         if lower.startswith(("date ", "begin triggerblock")):
@@ -95,18 +107,6 @@ class AscRows(Rows):
         elif text:
             raise ValueError("not a row of ASC")
         return None
-
-    def _plain(self, row: re.Match[str]) -> LogFrame:
-        """A row as most are, quickly."""
-        seconds, fraction, bus, id_text, extended, way, dlc, text = row.groups()
-        t_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
-        self._now_ns = t_ns + (self._now_ns if self._relative else self._start_ns)
-        can_id, length = int(id_text, 16), int(dlc)
-        data = bytes.fromhex(text)[:length]
-        if len(data) < length or can_id > (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID) or self._now_ns > _MOST_NS:
-            return frame_of(self._now_ns, _channel(bus), id_text, data, length, extended=bool(extended))
-        channel = self._channels.get(bus) or self._channels.setdefault(bus, _channel(bus))
-        return LogFrame(self._now_ns, channel, can_id, data, bool(extended), sent=way == "T", length=length)
 
     def _begin(self, date: str) -> None:
         if not date.strip():
