@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, write_out
+from fsai_vcu.cli.sources import Decoding, LogRead, Sources, add_log_arguments, check_seconds, judged, write_out
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 from fsai_vcu.interface.errors import WrongUse
 
@@ -13,7 +13,8 @@ EXAMPLE = "fsai-vcu check run.log && echo the bus was well\n  fsai-vcu check can
 ABOUT = """\
 Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
 problem was found, or too little is known, or not everything could be read, 2
-wrong use."""
+wrong use. Of several logs, or a folder of them, each has a line of its own, and
+all of them together one verdict."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +36,9 @@ def run(args: argparse.Namespace) -> int:
     if args.bitrate is not None and args.bitrate < 1:
         raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
     decoding = Decoding("check", args)
-    found = judged(args, Sources("check", args.sources, decoding), decoding)
+    read: list[LogRead] = []
+    found = judged(args, Sources("check", args.sources, decoding, each=read.append), decoding)
+    write_out("".join(f"{json.dumps(each.as_dict()) if args.json else each.line()}\n" for each in read).encode())
     if found is None:
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1

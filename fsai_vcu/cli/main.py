@@ -6,7 +6,9 @@ import argparse
 import errno
 import gc
 import importlib
+import io
 import os
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +19,7 @@ from typing import NoReturn, TextIO, cast
 from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
 from fsai_vcu.printable import PrintableStream, printable
+from fsai_vcu.start import interrupted
 
 Verbs = dict[str, tuple[str, str, str]]
 """Verb -> (module, as `import_module` takes it within this package, what it does in one line, its group)."""
@@ -119,6 +122,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             with printable_output():
                 return _run(arguments)
+        except KeyboardInterrupt:
+            print(f"{_named(arguments)}: interrupted", file=sys.stderr)
+            return 130
         finally:
             # Python kills itself by SIGINT at its end when Ctrl-C came in an exec (a dataclass is made in one), even if
             # that was answered; only another exec makes it forget.
@@ -131,15 +137,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.EPIPE:  # the reader (a pager, `head`) has gone: that is its good right
             return 0
-        verb = " ".join(["fsai-vcu", *arguments[:1]])
-        print(f"{verb}: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
+        print(f"{_named(arguments)}: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
+
+
+def _named(arguments: Sequence[str]) -> str:
+    return printable(" ".join(["fsai-vcu", *arguments[:1]]))
 
 
 @contextmanager
 def printable_output() -> Iterator[None]:
-    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it."""
+    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it.
+
+    What the output's encoding does not have is written as Python writes it: '\\u2192'.
+    """
     streams = sys.stdout, sys.stderr
+    for stream in streams:
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in streams)
     try:
         yield
@@ -175,7 +190,13 @@ def _run(arguments: list[str]) -> int:
     module = module_of(verb)
     parser = parser_of(verb)
     parse = getattr(module, "parse", Parser.parse_intermixed_args)  # options may stand between arguments
-    args = parse(parser, arguments[1:])
+    words = arguments[1:]
+    if parse is Parser.parse_intermixed_args and "--" in words:  # which that would read as if it were not there
+        at = words.index("--")
+        words = words[:at] + [f"./{word}" if word.startswith("-") and word != "-" else word for word in words[at + 1 :]]
+    args = parse(parser, words)
+    if signal.getsignal(signal.SIGINT) is interrupted:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # the verb has something to end in order
     try:
         return int(module.run(args))
     except UserError as error:
@@ -183,9 +204,6 @@ def _run(arguments: list[str]) -> int:
             raise error.__cause__ from None
         print(f"fsai-vcu {verb}: {printable(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, WrongUse) else 1
-    except KeyboardInterrupt:
-        print(f"fsai-vcu {verb}: interrupted", file=sys.stderr)
-        return 130
 
 
 def _print_help(everything: bool) -> None:
