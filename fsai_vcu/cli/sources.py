@@ -33,8 +33,8 @@ from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.verdict import Judged
     from fsai_vcu.diagnostics.log.reader import Log
+    from fsai_vcu.diagnostics.verdict import Judged
 
 LOG_HELP: Final = (
     "a log (candump, BLF, ASC, MF4, TRC, CSV, pcap and others, packed or not; - is standard input), a folder of logs"

@@ -75,19 +75,14 @@ class _Shape(NamedTuple):
         def place(name: str) -> slice:
             return slice(*(found.span(name) if name in groups and found[name] is not None else (0, 0)))
 
+        number, seconds, decimals, can_id, length = map(place, ("number", "time", "decimals", "id", "length"))
         head = bytearray(found[0])
-        digits = [place(name) for name in ("number", "time", "decimals", "id", "length")]
-        for each in digits:
+        for each in (number, seconds, decimals, can_id, length):
             head[each] = bytes(each.stop - each.start)
         way = found["way"] if "way" in groups else None
-        return cls(
-            bytes(head),
-            *digits[:4],
-            digits[4].start,
-            pattern.channel(found),
-            0 if way is None else SENT if way[:1] in b"Tt" else RECEIVED,
-            pattern.wide(found),
-        )
+        flags = 0 if way is None else SENT if way[:1] in b"Tt" else RECEIVED
+        bus, wide = pattern.channel(found), pattern.wide(found)
+        return cls(bytes(head), number, seconds, decimals, can_id, length.start, bus, flags, wide)
 
     @property
     def key(self) -> object:
@@ -99,9 +94,7 @@ class _Shape(NamedTuple):
         return ((each.start(), each[0]) for each in re.finditer(rb"[^\0]+", self.head))
 
 
-def parse_block(
-    block: npt.NDArray[np.uint8], channels: list[str], rows: Rows
-) -> tuple[Frames, list[Unreadable], int]:
+def parse_block(block: npt.NDArray[np.uint8], channels: list[str], rows: Rows) -> tuple[Frames, list[Unreadable], int]:
     """Frames of whole lines, each with its line end; new channels are added to `channels`.
 
     Returns (frames, what could not be read, number of lines).
@@ -174,9 +167,12 @@ def _together(
         tried.add(shape.key)
         if shape.channel not in channels and len(channels) >= MOST_CHANNELS:
             continue
-        frames, read = _of_shape(text, starts[rest], ends[rest], shape, pattern, channels)
-        found.append((frames, rest[read]))
-        rest = rest[~read]
+        likely = _likely(text, starts[rest], shape)
+        alike = rest[likely]
+        frames, read = _of_shape(text, starts[alike], ends[alike], shape, pattern, channels)
+        found.append((frames, alike[read]))
+        likely[likely] = read
+        rest = rest[~likely]
     return found, rest
 
 
@@ -189,6 +185,15 @@ def _next_shape(
         if found and found.end() <= _WIDEST and (shape := _Shape.of(found, pattern)).key not in tried:
             return shape
     return None
+
+
+def _likely(text: Characters, starts: Ints, shape: _Shape) -> Mask:
+    """Which of the lines may have the shape: what stands around the identifier and the time's point is where it is."""
+    likely = np.ones(len(starts), np.bool_)
+    for place in {shape.decimals.start - 1, shape.id.start - 1, shape.id.stop}:
+        if place >= 0:
+            likely &= text[starts + place] == shape.head[place]
+    return likely
 
 
 def _of_shape(

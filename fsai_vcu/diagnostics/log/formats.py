@@ -87,7 +87,10 @@ FORMATS: Final = (
 _FOREIGN: Final = (
     (b"MDF ", "an MDF older than version 4: convert it to MF4 (asammdf does)"),
     (b"UnFinMF ", "an MDF older than version 4: convert it to MF4 (asammdf does)"),
-    (b"\x89MCAP0", "an MCAP: of a bag of ROS 2 make one of sqlite3 (ros2 bag convert); instead of an export take its log"),
+    (
+        b"\x89MCAP0",
+        "an MCAP: of a bag of ROS 2 make one of sqlite3 (ros2 bag convert); instead of an export take its log",
+    ),
     (b"#ROSBAG", "a bag of ROS 1: record the bus itself (fsai-vcu record)"),
     (b"PAR1", "a Parquet table: take the log that it was made from"),
     (b"\x89HDF", "an HDF5 or MATLAB file: export the log as MF4, BLF or ASC"),

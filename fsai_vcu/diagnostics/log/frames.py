@@ -190,11 +190,11 @@ def joined(parts: Iterable[Frames]) -> Frames:
 
 
 def set_right(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
-    """The times with every step back of the clock taken out, and by how much each is one. before_ns: of the frame before.
+    """The times without the steps back of a clock that was set, and by how much each is one.
 
-    Small steps are no clock that was set, but frames of two receivers out of order, and stay. Nor is one where the next
-    frames are no earlier than the ones before: then a few frames were stamped wrongly, too late or too early. They get
-    the time of the next one or of the one before.
+    before_ns: of the frame before. Small steps are no clock that was set, but frames of two receivers out of order, and
+    stay. Nor is one where the next frames are no earlier than the ones before: then a few frames were stamped wrongly,
+    too late or too early. They get the time of the next one or of the one before.
     """
     if (before_ns is None or t_ns[0] >= before_ns) and (t_ns[1:] >= t_ns[:-1]).all():
         return t_ns, np.zeros_like(t_ns)
@@ -220,6 +220,6 @@ def set_right(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
 
 
 def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
-    """The times set right, none before that of the frame before it; and by how much each is a step back of the clock."""
+    """The times set right, each from that of the frame before it on; and by how much each is a step back."""
     moved_ns, steps_ns = set_right(t_ns, before_ns)
     return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), steps_ns

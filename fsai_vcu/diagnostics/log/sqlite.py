@@ -19,7 +19,7 @@ _BATCH: Final = 10_000
 _STEPS: Final = 100_000_000  # of SQLite's machine for a batch: a query that goes round in circles is given up
 _BAG: Final = (
     "SELECT messages.timestamp, messages.data, topics.name FROM messages JOIN topics ON messages.topic_id = topics.id"
-    " WHERE topics.type = 'can_msgs/msg/Frame'"
+    " WHERE topics.type = 'can_msgs/msg/Frame' ORDER BY messages.rowid"
 )
 _QUERY: Final = "SELECT ts, arbitration_id, extended, remote, error, dlc, data FROM messages"
 

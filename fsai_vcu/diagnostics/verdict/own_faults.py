@@ -117,7 +117,7 @@ def _over(record: Record, row: int, begin_ns: int, end_ns: int) -> ClockStep | N
 def _missing(record: Record, begin_ns: int, end_ns: int) -> Iterator[tuple[int, float]]:
     """(by how much the gap is longer than its period, its period) of each message that comes on both sides, in ns."""
     frames = record.frames
-    low, middle, high = np.searchsorted(frames.t_ns, (begin_ns - _NEAR_NS, end_ns, end_ns + _NEAR_NS)).tolist()
+    low, high = np.searchsorted(frames.t_ns, (begin_ns - _NEAR_NS, end_ns + _NEAR_NS)).tolist()
     near = frames.only(np.arange(low, high))
     keys = keys_of(near)
     for key in np.unique(keys[keys >= 0]).tolist():
