@@ -425,8 +425,8 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
             else:
                 begin_ns = max(begin for begin, _ in spans)
             text = f"a pause of {shared_ns / MS:.0f} ms of {_whose(ids, len(bus.messages))}"
-            if len(ids) == len(bus.messages) and record.perhaps_set_at((begin_ns or 0) + shared_ns):
-                text += ", or its clock was set forward"
+            if record.perhaps_set_at((begin_ns or 0) + shared_ns):
+                text += ", or the log's clock was set forward"
             if len(ids) == len(bus.messages):
                 if errors is not None and 0 <= (errors.t_ns or 0) - (begin_ns or 0) <= shared_ns:
                     worst, text, errors = errors, f"{text.partition(':')[0]}, and {errors.words}", None

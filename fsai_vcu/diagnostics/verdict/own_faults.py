@@ -26,6 +26,8 @@ _NEAR_NS: Final = 500 * MS  # before and after a gap: what is told of the messag
 _NEAR: Final = 20  # frames, of the counters
 _FEW: Final = 5
 _MESSAGES: Final = 3  # that go on, at least
+_WINDOW_NS: Final = 100 * MS
+_MORE: Final = 1.5
 _APART: Final = 0.6  # of a period: what goes on over a step misses its turn by less
 _NEARLY_ALL: Final = 0.9
 _COUNTER: Final = 1 << 16
@@ -104,7 +106,7 @@ def _over(record: Record, row: int, begin_ns: int, end_ns: int) -> ClockStep | N
     by_ns = int(np.median([missing for missing, _ in missing_ns]))
     if by_ns <= 0 or any(abs(missing - by_ns) > _APART * max(period, PERIOD_NS) for missing, period in missing_ns):
         return None
-    if _handshake_breaks(record, end_ns) or _changes(record, end_ns):
+    if _caught_up(record, begin_ns, end_ns) or _handshake_breaks(record, end_ns) or _changes(record, end_ns):
         return None
     counted = _counted(record, begin_ns, end_ns)
     if counted is None:
@@ -129,6 +131,16 @@ def _missing(record: Record, begin_ns: int, end_ns: int) -> Iterator[tuple[int, 
             continue
         period_ns = (int(before[-1] - before[0]) + int(after[-1] - after[0])) / intervals
         yield round(int(after[0] - before[-1]) - period_ns), period_ns
+
+
+def _caught_up(record: Record, begin_ns: int, end_ns: int) -> bool:
+    """Whether more frames come after the gap than before it, or later: then they were held back, and their stamps are
+    late."""
+    windows = (end_ns, begin_ns - _WINDOW_NS, end_ns + 3 * _WINDOW_NS)
+    t_ns = record.frames.t_ns
+    after, before, later = (int(np.diff(np.searchsorted(t_ns, (low, low + _WINDOW_NS)))[0]) for low in windows)
+    usual = max(before, later)
+    return bool(usual) and after > _MORE * usual
 
 
 def _handshake_breaks(record: Record, end_ns: int) -> bool:
