@@ -6,11 +6,9 @@ import argparse
 import errno
 import gc
 import importlib
-import io
 import os
-import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
@@ -19,7 +17,6 @@ from typing import NoReturn, TextIO, cast
 from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
 from fsai_vcu.printable import PrintableStream, printable
-from fsai_vcu.start import interrupted
 
 Verbs = dict[str, tuple[str, str, str]]
 """Verb -> (module, as `import_module` takes it within this package, what it does in one line, its group)."""
@@ -112,8 +109,11 @@ def parser_of(verb: str) -> Parser:
     return parser
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb. Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted."""
+def main(argv: Sequence[str] | None = None, at_work: Callable[[], object] | None = None) -> int:
+    """Run one verb. Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted.
+
+    at_work: called when its modules are loaded.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     gc.set_threshold(100_000)  # what a verb loads stays: looking through it for garbage again and again takes long
     bytes(8 << 20)  # after this the C library keeps what is freed for the next columns (mallopt(3), M_MMAP_THRESHOLD)
@@ -121,7 +121,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             with printable_output():
-                return _run(arguments)
+                return _run(arguments, at_work or (lambda: None))
         except KeyboardInterrupt:
             print(f"{_named(arguments)}: interrupted", file=sys.stderr)
             return 130
@@ -147,14 +147,8 @@ def _named(arguments: Sequence[str]) -> str:
 
 @contextmanager
 def printable_output() -> Iterator[None]:
-    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it.
-
-    What the output's encoding does not have is written as Python writes it: '\\u2192'.
-    """
+    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it."""
     streams = sys.stdout, sys.stderr
-    for stream in streams:
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
     sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in streams)
     try:
         yield
@@ -165,7 +159,7 @@ def printable_output() -> Iterator[None]:
 _OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
-def _run(arguments: list[str]) -> int:
+def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
     if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
         _print_help("--all" in arguments)
         return 0 if arguments else 2
@@ -195,8 +189,7 @@ def _run(arguments: list[str]) -> int:
         at = words.index("--")
         words = words[:at] + [f"./{word}" if word.startswith("-") and word != "-" else word for word in words[at + 1 :]]
     args = parse(parser, words)
-    if signal.getsignal(signal.SIGINT) is interrupted:
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # the verb has something to end in order
+    at_work()
     try:
         return int(module.run(args))
     except UserError as error:

@@ -734,7 +734,7 @@ def test_a_folder_of_logs_of_many_kinds_is_one_log(tmp_path: Path, capsys: pytes
     assert len(capsys.readouterr().out.splitlines()) == 4 * len(ROWS)
 
 
-def test_check_of_a_folder_says_a_line_for_each_log_and_one_verdict(
+def test_check_of_a_folder_is_a_line_for_each_log_and_a_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a.log").write_text(candump())

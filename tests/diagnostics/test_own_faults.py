@@ -65,7 +65,7 @@ def clock_notes(verdict: Verdict) -> list[str]:
     ],
     ids=["+1 h", "+2 s", "+0.3 s", "+90 days", "two", "forward and back", "back and forward", "at the very end"],
 )
-def test_a_clock_that_is_set_while_the_car_moves_is_a_note_in_either_direction(
+def test_a_clock_set_either_way_while_the_car_moves_is_a_note(
     drive: Frames, steps: list[tuple[float, int]]
 ) -> None:
     verdict = judged(stepped(drive, *steps))
@@ -108,7 +108,7 @@ def test_a_wrong_stamp_moves_no_other(wrong_s: float, rows: list[int]) -> None:
 
 
 @pytest.mark.parametrize("pause_ms", [200, 500, 1230])
-def test_a_recording_that_pauses_while_the_car_moves_stays_a_pause(drive: Frames, pause_ms: int) -> None:
+def test_a_pause_of_the_recording_stays_a_pause(drive: Frames, pause_ms: int) -> None:
     at_ns = drive.t_ns[-1] - 700 * MS
     verdict = judged(drive.only((drive.t_ns < at_ns - pause_ms * MS) | (drive.t_ns > at_ns)))
     assert "gap" in kinds(verdict) and not clock_notes(verdict), list(verdict.lines())
@@ -125,7 +125,7 @@ def test_a_pause_of_a_car_that_stands_may_be_either(drive: Frames) -> None:
 
 
 @pytest.mark.parametrize(("by_ms", "moved_before"), [(303.7, False), (2003.7, True), (-2003.7, True)])
-def test_a_step_that_is_no_whole_number_of_periods_is_a_clock_that_was_set(
+def test_a_step_of_no_whole_number_of_periods_is_a_set_clock(
     drive: Frames, by_ms: float, moved_before: bool
 ) -> None:
     """The car's own clock goes on, and its counters, if it moved before: it was not switched off meanwhile."""

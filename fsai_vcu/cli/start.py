@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from functools import partial
 from types import FrameType
 from typing import NoReturn
 
@@ -18,7 +19,7 @@ def interrupted(_number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def main() -> int:
-    """The command. Its verb is interrupted as Python's programs are, once it runs."""
+    """The command. Once its verb is at work, Ctrl-C is what it is in Python: the verb may have something to end."""
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a script's background job ignores it
     if ours:
         signal.signal(signal.SIGINT, interrupted)
@@ -26,7 +27,7 @@ def main() -> int:
     from fsai_vcu.cli.main import main as run
 
     try:
-        return run()
+        return run(at_work=partial(signal.signal, signal.SIGINT, signal.default_int_handler) if ours else None)
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the rest is Python's own end
