@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
+import os  # nothing that Python has not loaded itself: until the handler is there, Ctrl-C is a traceback
 import signal
 import sys
-from functools import partial
-from types import FrameType
-from typing import NoReturn
 
 
-def interrupted(_number: int, _frame: FrameType | None) -> NoReturn:
+def interrupted(_number: int, _frame: object) -> None:
     """Ends the process, in which nothing has been done yet: of an import that is interrupted much may be left."""
     verb = "".join(sys.argv[1:2])
     said = f"fsai-vcu {verb}: interrupted" if verb.replace("-", "").isalnum() else "fsai-vcu: interrupted"
@@ -27,7 +24,7 @@ def main() -> int:
     from fsai_vcu.cli.main import main as run
 
     try:
-        return run(at_work=partial(signal.signal, signal.SIGINT, signal.default_int_handler) if ours else None)
+        return run(at_work=(lambda: signal.signal(signal.SIGINT, signal.default_int_handler)) if ours else None)
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the rest is Python's own end

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,8 +19,8 @@ import json, os, signal, sys
 import fsai_vcu.cli.start as start
 from fsai_vcu.cli.main import all_verbs, module_of
 
-uses, how = json.loads(sys.argv[1]), sys.argv[2]
-if how != "interrupted":
+uses = json.loads(sys.argv[1])
+if not any(after for _, after, _ in uses):
     for verb in all_verbs():
         module_of(verb)
 
@@ -34,7 +33,7 @@ class Interrupts:
         if self.left == 0:
             os.kill(os.getpid(), signal.SIGINT)
 
-def told(words, after):
+def told(words, after, how):
     read, write = os.pipe()
     child = os.fork()
     if not child:
@@ -70,7 +69,7 @@ def told(words, after):
         said = pipe.read().decode("utf-8", "replace")
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said
 
-print(json.dumps([[words, after, *told(words, after)] for words, after in uses]))
+print(json.dumps([told(*use) for use in uses]))
 """
 LOG = "".join(
     f"(1.{n:03d}000) can0 520#0{n % 2}00000000000000\n(1.{n:03d}500) can0 510#0{n % 2}00000000000000\n"
@@ -94,50 +93,44 @@ USES = {
 """What verbs do at once, without a car; of the others the help is asked for."""
 
 
-def run_each(
-    how: str, uses: list[tuple[list[str], int]], folder: Path, **environment: str
-) -> list[tuple[list[str], int, int, str]]:
-    """(words, after how many imports interrupted, status, all that was said) of each use, in that situation."""
+Use = tuple[list[str], int, str]
+"""Its words, after how many imports it is interrupted (0: it is not), and what its output is."""
+
+
+def run_each(uses: list[Use], folder: Path, **environment: str) -> list[tuple[Use, int, str]]:
+    """(use, status, all that was said) of each."""
     (folder / "run.log").write_text(LOG)
-    argv = [sys.executable, "-c", RUNNER, json.dumps(uses), how]
+    argv = [sys.executable, "-c", RUNNER, json.dumps(uses)]
     done = subprocess.run(argv, cwd=folder, env={**os.environ, **environment}, stdout=subprocess.PIPE, check=True)
-    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
-    return [(words, after, status, said) for words, after, status, said in found]
+    found = json.loads(done.stdout.splitlines()[-1])
+    return [(use, status, said) for use, (status, said) in zip(uses, found, strict=True)]
 
 
-@pytest.mark.parametrize(
-    ("how", "environment"),
-    [
-        ("ascii", {"PYTHONIOENCODING": "ascii"}),
-        ("locale C", {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}),
-        ("reader gone", {}),
-        ("stdout closed", {}),
-        ("stderr closed", {}),
-    ],
-    ids=lambda each: each if isinstance(each, str) else "",
-)
-def test_no_verb_answers_an_output_with_a_traceback(how: str, environment: dict[str, str], tmp_path: Path) -> None:
-    uses = [(USES[verb].split() if verb in USES else [verb, "--help"], 0) for verb in all_verbs()]
-    for words, _, status, said in run_each(how, uses, tmp_path, **environment):
-        assert "Traceback" not in said and "Exception ignored" not in said and status in (0, 1), (words, status, said)
+def test_no_verb_answers_an_output_with_a_traceback(tmp_path: Path) -> None:
+    every = [USES[verb].split() if verb in USES else [verb, "--help"] for verb in all_verbs()]
+    poor = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
+    found = run_each([(words, 0, "ascii") for words in every], tmp_path, **poor)
+    closed = ("reader gone", "stdout closed", "stderr closed")
+    found += run_each([(use.split(), 0, how) for use in USES.values() for how in closed], tmp_path)
+    for use, status, said in found:
+        assert "Traceback" not in said and "Exception ignored" not in said and status in (0, 1), (use, status, said)
 
 
 def test_ctrl_c_while_a_verb_loads_is_answered_in_a_line(tmp_path: Path) -> None:
     """At its first import, and in the midst of them; after the last one it is at work, which ends as it ever does."""
-    uses = [([verb, "--help"], after) for verb in all_verbs() for after in (1, 2, 20)]
-    for words, after, status, said in run_each("interrupted", uses, tmp_path):
-        if status == 130 or after == 1:
-            assert (status, said) == (130, f"fsai-vcu {words[0]}: interrupted\n"), (words, after)
+    uses = [([verb, "--help"], after, "") for verb in all_verbs() for after in (1, 12)]
+    for use, status, said in run_each(uses, tmp_path):
+        if status == 130 or use[1] == 1:
+            assert (status, said) == (130, f"fsai-vcu {use[0][0]}: interrupted\n"), use
         else:
-            assert status == 0 and "Traceback" not in said, (words, after, said)
+            assert status == 0 and "Traceback" not in said, (use, said)
 
 
-@pytest.mark.parametrize("verb", ["check", "explain", "plot", "report"])
-def test_ctrl_c_while_a_verb_works_is_answered_in_a_line(verb: str, tmp_path: Path) -> None:
-    uses = [(USES[verb].split(), after) for after in (100, 200, 400, 800)]
-    for words, after, status, said in run_each("interrupted", uses, tmp_path):
-        assert "Traceback" not in said, (words, after, said)
-        assert status in (0, 1) or (status, said) == (130, f"fsai-vcu {verb}: interrupted\n"), (after, status, said)
+def test_ctrl_c_while_a_verb_works_is_answered_in_a_line(tmp_path: Path) -> None:
+    uses = [(USES[verb].split(), after, "") for verb in ("check", "explain", "plot") for after in (150, 300, 500)]
+    for use, status, said in run_each(uses, tmp_path):
+        assert "Traceback" not in said, (use, said)
+        assert status in (0, 1) or (status, said) == (130, f"fsai-vcu {use[0][0]}: interrupted\n"), (use, status, said)
 
 
 # ---------------------------------------------------------------- names of files
