@@ -240,6 +240,19 @@ def test_a_bag_of_ros_2_is_read_whole_or_named(tmp_path: Path) -> None:
     assert frames == [] and "without a topic of can_msgs/Frame: record the bus itself" in log.problems.texts[0]
 
 
+@pytest.mark.parametrize("make", [sqlite_db, bag])
+def test_a_database_cut_or_changed_hides_no_loss(make: Callable[[Path], bytes], tmp_path: Path) -> None:
+    content = bytearray(make(tmp_path))
+    chance = random.Random(1)
+    for number in range(40):
+        at = chance.randrange(100, len(content))
+        spoilt = (
+            content[:at] if number % 2 else content[:at] + bytes([content[at] ^ 1 << number % 8]) + content[at + 1 :]
+        )
+        frames, log = given(tmp_path / "run.db", bytes(spoilt))
+        assert len(frames) <= len(ROWS) and (len(frames) == len(ROWS) or log.problems), at
+
+
 def test_each_format_has_a_row_in_the_documentation() -> None:
     page = (Path(__file__).parents[2] / "docs/logs.md").read_text()
     assert [each.name for each in FORMATS if f"\n| {each.name}" not in page] == []

@@ -65,9 +65,7 @@ def clock_notes(verdict: Verdict) -> list[str]:
     ],
     ids=["+1 h", "+2 s", "+0.3 s", "+90 days", "two", "forward and back", "back and forward", "at the very end"],
 )
-def test_a_clock_set_either_way_while_the_car_moves_is_a_note(
-    drive: Frames, steps: list[tuple[float, int]]
-) -> None:
+def test_a_clock_set_either_way_while_the_car_moves_is_a_note(drive: Frames, steps: list[tuple[float, int]]) -> None:
     verdict = judged(stepped(drive, *steps))
     assert verdict.ok and len(clock_notes(verdict)) == len(steps), list(verdict.lines())
     record = judged_frames(stepped(drive, *steps)).record
@@ -125,9 +123,7 @@ def test_a_pause_of_a_car_that_stands_may_be_either(drive: Frames) -> None:
 
 
 @pytest.mark.parametrize(("by_ms", "moved_before"), [(303.7, False), (2003.7, True), (-2003.7, True)])
-def test_a_step_of_no_whole_number_of_periods_is_a_set_clock(
-    drive: Frames, by_ms: float, moved_before: bool
-) -> None:
+def test_a_step_of_no_whole_number_of_periods_is_a_set_clock(drive: Frames, by_ms: float, moved_before: bool) -> None:
     """The car's own clock goes on, and its counters, if it moved before: it was not switched off meanwhile."""
     pulses = np.where(drive.can_id == 0x526, np.uint64(0x0101_0101_0101_0101), np.uint64(0))
     stands = drive.t_ns < drive.t_ns[0] + 8 * S

@@ -18,8 +18,9 @@ MAGIC: Final = b"SQLite format 3\0"
 _BATCH: Final = 10_000
 _STEPS: Final = 100_000_000  # of SQLite's machine for a batch: a query that goes round in circles is given up
 _BAG: Final = (
-    "SELECT messages.timestamp, messages.data, topics.name FROM messages JOIN topics ON messages.topic_id = topics.id"
-    " WHERE topics.type = 'can_msgs/msg/Frame' ORDER BY messages.rowid"
+    "SELECT messages.timestamp, messages.data, topics.name FROM messages LEFT JOIN topics"
+    " ON messages.topic_id = topics.id WHERE topics.type = 'can_msgs/msg/Frame' OR topics.type IS NULL"
+    " ORDER BY messages.rowid"
 )
 _QUERY: Final = "SELECT ts, arbitration_id, extended, remote, error, dlc, data FROM messages"
 
@@ -67,8 +68,10 @@ def _frame(
     )  # fmt: skip
 
 
-def _bag_frame(bag_ns: int, data: bytes, topic: str) -> LogFrame:
+def _bag_frame(bag_ns: int, data: bytes, topic: str | None) -> LogFrame:
     """A can_msgs/Frame as CDR: header (stamp, frame_id), id, three flags, DLC, eight bytes of data."""
+    if topic is None:
+        raise ValueError("it is of no topic")
     order = "<" if data[1:2] == b"\x01" else ">"
     body = data[4:]
     seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", body)
