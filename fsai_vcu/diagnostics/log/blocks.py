@@ -106,28 +106,32 @@ def parse_block(block: npt.NDArray[np.uint8], channels: list[str], rows: Rows) -
     if count and text[ends[0] - 1] == _RETURN:
         ends = ends - (text[ends - 1] == _RETURN)
     parts: list[Frames] = []
-    places: list[Ints] = []
-    singly: dict[int, LogFrame] = {}
     unreadable: list[Unreadable] = []
     pattern = rows.pattern()
     begun = pattern is None or (count and pattern.expression.match(text[starts[0] : ends[0]].tobytes()))
     at, together = 0, count if begun else _FEW
     while at < count:
+        times = rows.times()
         stop = min(at + together, count)
         found, rest = _together(text, starts, ends, np.arange(at, stop), rows, channels)
+        singly: dict[int, LogFrame] = {}
         learned = _singly(text, starts, ends, rest, rows, singly, unreadable)
         stop = stop if learned is None else learned + 1
-        for frames, read in found:
-            kept = int(np.searchsorted(read, stop))
-            parts.append(frames if kept == len(frames) else frames.head(kept))
-            places.append(read[:kept])
+        whole = _in_order(found, singly, stop, channels)
+        parts.append(whole if times is None else whole.at(times(whole.t_ns)))
         at, together = stop, _FEW if learned is not None else min(4 * together, count)
-    whole = joined([*parts, frames_of(singly.values(), channels)])
-    if len(parts) + len(singly) > 1:
-        order = np.concatenate([*places, np.array([*singly], np.int64)])
-        if not (order[1:] > order[:-1]).all():
-            whole = whole.only(np.argsort(order))
-    return whole, unreadable, count
+    return joined(parts), unreadable, count
+
+
+def _in_order(found: list[tuple[Frames, Ints]], singly: dict[int, LogFrame], stop: int, channels: list[str]) -> Frames:
+    """The frames on the lines before that one, in the order of the lines."""
+    parts, places = [frames_of(singly.values(), channels)], [np.array([*singly], np.int64)]
+    for frames, read in found:
+        kept = int(np.searchsorted(read, stop))
+        parts.append(frames if kept == len(frames) else frames.head(kept))
+        places.append(read[:kept])
+    whole, order = joined(parts), np.concatenate(places)
+    return whole if (order[1:] > order[:-1]).all() else whole.only(np.argsort(order))
 
 
 def _singly(

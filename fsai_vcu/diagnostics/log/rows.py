@@ -17,7 +17,7 @@ from fsai_vcu.diagnostics.log.candump_line import (
     MAX_SECONDS,
     MAX_STANDARD_ID,
 )
-from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.frames import Ints, LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 
 FD_BYTES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -79,6 +79,13 @@ class Rows:
 
     def state(self) -> object:
         """What the rows so far have told of how the following ones are read."""
+        return None
+
+    def times(self) -> Callable[[Ints], Ints] | None:
+        """Makes the times of the following frames, up to where `state` changes, from what their rows say; None: as is.
+
+        It is asked for before those rows are read, and called after them.
+        """
         return None
 
     def __call__(self, line: str) -> LogFrame | None:
