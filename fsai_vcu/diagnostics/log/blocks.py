@@ -44,7 +44,7 @@ _EIGHT: Final = np.arange(CLASSIC_BYTES)[:, np.newaxis]
 _WIDEST: Final = 120  # characters before the data bytes
 _SHAPES: Final = 40  # more kinds of lines than that at once, and the rest is read one by one
 _LOOKED_AT: Final = 200  # lines, for one that has a shape
-_FEW: Final = 32  # lines that are read together where the reader has just learned something
+_FEW: Final = 32  # lines that are read one by one where the reader has just learned something
 _BLANK: Final = 3  # spaces at a line's end
 _TAIL: Final = 60  # characters behind the data; a second row in the line has more
 _MOST_NS: Final = MAX_SECONDS * 1_000_000_000
@@ -109,17 +109,21 @@ def parse_block(block: npt.NDArray[np.uint8], channels: list[str], rows: Rows) -
     unreadable: list[Unreadable] = []
     pattern = rows.pattern()
     begun = pattern is None or (count and pattern.expression.match(text[starts[0] : ends[0]].tobytes()))
-    at, together = 0, count if begun else _FEW
+    at, alone, together = 0, not begun, count if begun else _FEW
     while at < count:
         times = rows.times()
         stop = min(at + together, count)
-        found, rest = _together(text, starts, ends, np.arange(at, stop), rows, channels)
+        found: list[tuple[Frames, Ints]] = []
+        rest = np.arange(at, stop)
+        if not alone:
+            found, rest = _together(text, starts, ends, rest, rows, channels)
         singly: dict[int, LogFrame] = {}
-        learned = _singly(text, starts, ends, rest, rows, singly, unreadable)
+        learned = _singly(text, starts, ends, rest, rows, singly, unreadable, go_on=alone)
         stop = stop if learned is None else learned + 1
         whole = _in_order(found, singly, stop, channels)
         parts.append(whole if times is None else whole.at(times(whole.t_ns)))
-        at, together = stop, _FEW if learned is not None else min(4 * together, count)
+        at, alone = stop, learned is not None
+        together = _FEW if alone else 4 * together
     return joined(parts), unreadable, count
 
 
@@ -142,16 +146,24 @@ def _singly(
     rows: Rows,
     frames: dict[int, LogFrame],
     unreadable: list[Unreadable],
+    *,
+    go_on: bool,
 ) -> int | None:
-    """Read lines one by one, up to the first one that changes how the following ones are read: that line, or None."""
+    """Read lines one by one, up to the first one that changes how the following ones are read: that line, or None.
+
+    go_on: that does not end it, unless the times of what follows are others; the last line stands for it.
+    """
     before, learned = rows.state(), None
+    go_on = go_on and rows.times() is None
 
     def lines() -> Iterator[tuple[int, bytes]]:
         nonlocal learned
         for row in rest.tolist():
             yield row, text[starts[row] : ends[row]].tobytes()
-            if rows.state() != before:
-                learned = row
+            if learned is None and rows.state() == before:
+                continue
+            learned = row
+            if not go_on or rows.times() is not None:
                 return
 
     read_lines(lines(), rows, rows.encoding, frames, unreadable)
