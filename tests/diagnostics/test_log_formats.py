@@ -639,7 +639,7 @@ def test_rows_of_a_usual_file_are_read_together(what: str, monkeypatch: pytest.M
     monkeypatch.setattr(blocks, "read_lines", read_lines)
     frames, unreadable, lines = parse_block(block, [], kind(Problems()))
     assert of(list(frames)) == ROWS * 5 and not unreadable
-    assert len(singly) <= 40 < lines
+    assert len(singly) <= 64 < lines
 
 
 # ---------------------------------------------------------------- candump's side lines
