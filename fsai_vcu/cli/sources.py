@@ -250,12 +250,14 @@ class LogRead(NamedTuple):
 
     def line(self) -> str:
         """For a person."""
-        read = f"{self.kind}, {self.frames} frames" if self.frames else "nothing could be read"
+        read = f"{self.kind}, {self.frames} frames" if self.frames else "no frames in it"
+        if self.problems and not self.frames:
+            read = "nothing could be read"
         said = "; ".join(filter(None, (read, self.problems.removeprefix(f"{self.name}: "), self.notes)))
         return f"{self.name}: {said}"
 
     def as_dict(self) -> dict[str, Any]:
-        names = {"name": self.name, "format": self.kind, "frames": self.frames}
+        names = {"name": self.name, "format": self.kind if self.frames else None, "frames": self.frames}
         return {"type": "log", **names, "problems": self.problems or None, "notes": self.notes or None}
 
 
@@ -284,10 +286,12 @@ class Sources:
         self._decoding = decoding
         self._part = part
         self._each = each
+        left_out: list[Path] = []
         try:
-            self._rules = [split_source(each) for name in names for each in _unfolded(name)]
+            self._rules = [split_source(each) for name in names for each in _unfolded(name, left_out)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
+        self.left_out = [printable(path.name) for path in left_out]  # of what is in folders
         self.names = ["standard input" if name == "-" else printable(name) for name, _ in self._rules]
         self.name = ", ".join(self.names)
         kinds = {_is_log(name) for name, _ in self._rules}
@@ -490,12 +494,14 @@ def _first_stamp(path: Path) -> tuple[int, str]:
         return 1 << 63, path.name
 
 
-def _unfolded(name: str) -> list[str]:
-    """A folder as the logs in it, by their names; anything else as it is."""
+def _unfolded(name: str, left_out: list[Path]) -> list[str]:
+    """A folder as the logs in it, in the order of time; anything else as it is. left_out: gets its other files."""
     folder, filters = name_and_filters(name)
     if folder == "-" or not _holds(folder, Path.is_dir):
         return [name]
-    logs = [path for path in Path(folder).iterdir() if path.is_file() and _log_like(path)]
+    files = sorted(path for path in Path(folder).iterdir() if path.is_file())
+    logs = [path for path in files if _log_like(path)]
+    left_out += [path for path in files if path not in logs]
     logs.sort(key=_first_stamp)
     if not logs:
         raise UserError(f"{folder}: no log in this folder")
