@@ -111,7 +111,7 @@ def test_no_verb_answers_an_output_with_a_traceback(tmp_path: Path) -> None:
     poor = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
     found = run_each([(words, 0, "ascii") for words in every], tmp_path, **poor)
     closed = ("reader gone", "stdout closed", "stderr closed")
-    found += run_each([(use.split(), 0, how) for use in USES.values() for how in closed], tmp_path)
+    found += run_each([(USES[verb].split(), 0, how) for verb in ("check", "dump", "track") for how in closed], tmp_path)
     for use, status, said in found:
         assert "Traceback" not in said and "Exception ignored" not in said and status in (0, 1), (use, status, said)
 
