@@ -41,16 +41,21 @@ def drawn(text: str) -> str:
 
 
 class PrintableStream:
-    """A text stream onto which only what can be seen is written, and line ends; to a terminal also what `_OWN` has."""
+    """A text stream onto which only what can be seen is written, and line ends; to a terminal also what `_OWN` has.
+
+    What the stream's encoding does not have is written as Python writes it: '\\u2192'.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self._encoding = stream.encoding or "utf-8"
         self._split = _SPLIT_WITH_OWN if stream.isatty() else _SPLIT
 
     def write(self, text: str) -> int:
         if not _PLAIN.fullmatch(text):
             parts = self._split.split(text)  # every other one is a separator
             text = "".join(part if number % 2 else printable(part) for number, part in enumerate(parts))
+            text = text.encode(self._encoding, "backslashreplace").decode(self._encoding)
         return self._stream.write(text)
 
     def __getattr__(self, name: str) -> Any:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged, write_out
+from fsai_vcu.cli.sources import Decoding, LogRead, Sources, add_log_arguments, check_seconds, judged, write_out
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = "fsai-vcu check run.log && echo the bus was well\n  fsai-vcu check can0 --seconds 10 --figures"
+_NAMED = 8  # files that are left out
 ABOUT = """\
 Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
 problem was found, or too little is known, or not everything could be read, 2
-wrong use."""
+wrong use. Of several logs, or a folder of them, each has a line of its own, and
+all of them together one verdict."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +37,14 @@ def run(args: argparse.Namespace) -> int:
     if args.bitrate is not None and args.bitrate < 1:
         raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
     decoding = Decoding("check", args)
-    found = judged(args, Sources("check", args.sources, decoding), decoding)
+    read: list[LogRead] = []
+    sources = Sources("check", args.sources, decoding, each=read.append)
+    found = judged(args, sources, decoding)
+    lines = [json.dumps(each.as_dict()) if args.json else each.line() for each in read]
+    if sources.left_out and not args.json:
+        more = ", …" if len(sources.left_out) > _NAMED else ""
+        lines.append(f"no logs, and left out: {', '.join(sources.left_out[:_NAMED])}{more}")
+    write_out("".join(f"{line}\n" for line in lines).encode())
     if found is None:
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
@@ -43,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
         shown = (_as_json if args.json else _for_people)(bus, figures=args.figures)
         write_out(shown.encode())
     verdict = found.verdict
-    lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
-    write_out("".join(f"{line}\n" for line in lines).encode())
+    told = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
+    write_out("".join(f"{line}\n" for line in told).encode())
     return verdict.status
 
 

@@ -8,7 +8,7 @@ import gc
 import importlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
@@ -110,8 +110,11 @@ def parser_of(verb: str) -> Parser:
     return parser
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb. Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted."""
+def main(argv: Sequence[str] | None = None, at_work: Callable[[], object] | None = None) -> int:
+    """Run one verb. Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted.
+
+    at_work: called when its modules are loaded.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     gc.set_threshold(100_000)  # what a verb loads stays: looking through it for garbage again and again takes long
     bytes(8 << 20)  # after this the C library keeps what is freed for the next columns (mallopt(3), M_MMAP_THRESHOLD)
@@ -119,7 +122,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             with printable_output():
-                return _run(arguments)
+                return _run(arguments, at_work or (lambda: None))
+        except KeyboardInterrupt:
+            print(f"{_named(arguments)}: interrupted", file=sys.stderr)
+            return 130
         finally:
             # Python kills itself by SIGINT at its end when Ctrl-C came in an exec (a dataclass is made in one), even if
             # that was answered; only another exec makes it forget.
@@ -132,9 +138,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.EPIPE:  # the reader (a pager, `head`) has gone: that is its good right
             return 0
-        verb = " ".join(["fsai-vcu", *arguments[:1]])
-        print(f"{verb}: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
+        print(f"{_named(arguments)}: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
+
+
+def _named(arguments: Sequence[str]) -> str:
+    return printable(" ".join(["fsai-vcu", *arguments[:1]]))
 
 
 @contextmanager
@@ -151,7 +160,7 @@ def printable_output() -> Iterator[None]:
 _OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
-def _run(arguments: list[str]) -> int:
+def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
     if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
         _print_help("--all" in arguments)
         return 0 if arguments else 2
@@ -173,7 +182,12 @@ def _run(arguments: list[str]) -> int:
     module = module_of(verb)
     parser = parser_of(verb)
     parse = getattr(module, "parse", Parser.parse_intermixed_args)  # options may stand between arguments
-    args = parse(parser, arguments[1:])
+    words = arguments[1:]
+    if parse is Parser.parse_intermixed_args and "--" in words:  # which that would read as if it were not there
+        at = words.index("--")
+        words = words[:at] + [f"./{word}" if word.startswith("-") and word != "-" else word for word in words[at + 1 :]]
+    args = parse(parser, words)
+    at_work()
     try:
         return int(module.run(args))
     except UserError as error:
@@ -181,9 +195,6 @@ def _run(arguments: list[str]) -> int:
             raise error.__cause__ from None
         print(f"fsai-vcu {verb}: {printable(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, WrongUse) else 1
-    except KeyboardInterrupt:
-        print(f"fsai-vcu {verb}: interrupted", file=sys.stderr)
-        return 130
 
 
 def _print_help(everything: bool) -> None:

@@ -18,6 +18,7 @@ from fsai_vcu.cli.sources import (
 )
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series
+from fsai_vcu.diagnostics.log.filters import name_and_filters
 from fsai_vcu.diagnostics.page.curves import BREAK_NS
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.lights import BAND_ALPHA, light_of
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    more = list(takewhile(lambda word: Path(word.partition(",")[0]).exists(), args.words))
+    more = list(takewhile(lambda word: Path(name_and_filters(word)[0]).exists(), args.words))
     logs, signals = [args.source, *more], args.words[len(more) :]
     if not signals:
         raise WrongUse("no signal is named; fsai-vcu dbc show lists them")

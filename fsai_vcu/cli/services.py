@@ -14,10 +14,10 @@ from importlib import import_module
 from typing import Any
 
 from fsai_vcu.arguments import check_numbers
-from fsai_vcu.interface.errors import UserError
+from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.printable import LINE, printable
 from fsai_vcu.runtime.configuration import usual_environment
-from fsai_vcu.runtime.transport import enclave_words, set_transport
+from fsai_vcu.runtime.transport import enclave_words, ros_trouble, set_transport
 
 ASK_AGAIN_S = 1.0
 _SAY_S, _SAY_AGAIN_S = 0.5, 3.0  # what is waited for
@@ -43,7 +43,7 @@ def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float | None =
 
 def nodes_module(name: str) -> Any:
     """A module of the project's nodes, to find them where the car's configuration says. Raises UserError."""
-    os.environ.update(usual_environment())
+    _take_environment()
     try:
         return import_module(f"fsai_nodes.{name}")
     except ImportError as error:
@@ -55,14 +55,14 @@ def nodes_module(name: str) -> Any:
 
 @contextmanager
 def ros_errors() -> Iterator[None]:
-    """A namespace that is none, and an encrypted DDS that does not come up, as UserError."""
+    """A namespace that is none, and a ROS or an encrypted DDS that does not come up, as UserError."""
     try:
         yield
     except ValueError as error:
         raise UserError(f"--namespace {error}") from error
     except RuntimeError as error:  # rclpy's
         if os.environ.get("ROS_SECURITY_ENABLE") != "true":
-            raise
+            raise UserError(f"ROS 2 does not start: {printable(str(error).splitlines()[0], LINE)}") from error
         keystore = os.environ.get("ROS_SECURITY_KEYSTORE", "the one that ROS_SECURITY_KEYSTORE is to name")
         raise UserError(
             f"DDS is to be encrypted and cannot be ({str(error).splitlines()[0]}): it needs the distribution's ROS 2, "
@@ -70,14 +70,34 @@ def ros_errors() -> Iterator[None]:
         ) from error
 
 
+def _take_environment() -> None:
+    """The car's, where this process has none of its own. Raises UserError where ROS would not start in it."""
+    os.environ.update(usual_environment())
+    if trouble := ros_trouble(os.environ):
+        raise UserError(f"ROS 2 does not start: {trouble}")
+
+
+@contextmanager
+def _meanwhile(urgent: bool) -> Iterator[None]:
+    """With what stops the car meanwhile, where a request for that cannot be sent."""
+    try:
+        yield
+    except UserError as error:
+        if not urgent or isinstance(error, WrongUse):
+            raise
+        words = str(error).removesuffix(".")
+        end = "" if words.endswith("?") else "."
+        raise UserError(f"{words}{end} Press the remote's E-stop meanwhile") from error.__cause__
+
+
 @contextmanager
 def operator_node(namespace: str = "/") -> Iterator[Any]:
     """A short-lived node, where the car's configuration says that its nodes are to be found.
 
-    Raises UserError where the configuration may not be read, ROS 2 or the project's messages are missing, or the
-    namespace is none.
+    Raises UserError where the configuration may not be read, ROS 2 or the project's messages are missing or do not
+    start, or the namespace is none.
     """
-    os.environ.update(usual_environment())
+    _take_environment()
     set_transport(os.environ)
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
@@ -111,7 +131,8 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
     check_numbers(args, wait=0.0)
     from fsai_vcu.runtime.loop_handle import NO_ANSWER
 
-    with operator_node(args.namespace) as node:
+    urgent = service == "emergency_brake"
+    with _meanwhile(urgent), operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.srv import SetMode
         from std_srvs.srv import Trigger
@@ -122,7 +143,6 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
         begin_s = time.monotonic()  # from here on: on a busy machine rclpy takes seconds to load
         asked: list[Any] = []
         say_s, ask_s = _SAY_S, 0.0
-        urgent = service == "emergency_brake"
         while True:
             answers = [each.result() for each in asked if each.done()]
             waited_s = time.monotonic() - begin_s

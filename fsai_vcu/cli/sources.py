@@ -12,18 +12,17 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fsai_vcu.cli.ending import ending
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.revision import told_revision
-from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
+from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, name_and_filters, split_source
 from fsai_vcu.diagnostics.log.formats import format_of
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
-from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
 from fsai_vcu.diagnostics.recorder.segments import lost_while_recorded, lost_words
@@ -34,6 +33,7 @@ from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.log.reader import Log
     from fsai_vcu.diagnostics.verdict import Judged
 
 LOG_HELP: Final = (
@@ -41,7 +41,7 @@ LOG_HELP: Final = (
 )
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})
-_MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".sqlite"})  # their content tells
+_MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".db3", ".sqlite"})  # their content tells
 _PROBLEMS_SHOWN = 5
 _PROGRESS_S = 1.0
 
@@ -242,6 +242,28 @@ class Decoding:
             self.__dict__.pop(name, None)
 
 
+class LogRead(NamedTuple):
+    """What was read of one log of several. problems, notes: one line each, or ''."""
+
+    name: str
+    kind: str
+    frames: int
+    problems: str
+    notes: str
+
+    def line(self) -> str:
+        """For a person."""
+        read = f"{self.kind}, {self.frames} frames" if self.frames else "no frames in it"
+        if self.problems and not self.frames:
+            read = "nothing could be read"
+        said = "; ".join(filter(None, (read, self.problems.removeprefix(f"{self.name}: "), self.notes)))
+        return f"{self.name}: {said}"
+
+    def as_dict(self) -> dict[str, Any]:
+        names = {"name": self.name, "format": self.kind if self.frames else None, "frames": self.frames}
+        return {"type": "log", **names, "problems": self.problems or None, "notes": self.notes or None}
+
+
 class Sources:
     """Logs or live interfaces named on a command line, as one stream of columns.
 
@@ -250,9 +272,15 @@ class Sources:
     """
 
     def __init__(
-        self, verb: str, names: Sequence[str], decoding: Decoding | None = None, part: Part | None = None
+        self,
+        verb: str,
+        names: Sequence[str],
+        decoding: Decoding | None = None,
+        part: Part | None = None,
+        each: Callable[[LogRead], None] | None = None,
     ) -> None:
-        """names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through.
+        """names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each:
+        gets what was read of each of several logs, and nothing of it is said on stderr.
 
         Raises UserError.
         """
@@ -260,10 +288,13 @@ class Sources:
         self.status = 0
         self._decoding = decoding
         self._part = part
+        self._each = each
+        left_out: list[Path] = []
         try:
-            self._rules = [split_source(each) for name in names for each in _unfolded(name)]
+            self._rules = [split_source(each) for name in names for each in _unfolded(name, left_out)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
+        self.left_out = [printable(path.name) for path in left_out]  # of what is in folders
         self.names = ["standard input" if name == "-" else printable(name) for name, _ in self._rules]
         self.name = ", ".join(self.names)
         kinds = {_is_log(name) for name, _ in self._rules}
@@ -350,15 +381,20 @@ class Sources:
                     passing = self._passing(frames, rule)
                     inside += len(passing)
                     yield passing
-            self._report(log.name, count, log.problems)
+            self._report(log, count)
             lost += log.problems.lost
         recorded = lost + sum(lost_while_recorded(Path(name)) for name, _ in self._rules if name != "-")
         self._lost = lambda: recorded
         if self._part and self.first_ns is not None and not inside:
             raise UserError(f"no frame of {self.name} is in that part")
 
-    def _report(self, name: str, frames: int, problems: Problems) -> None:
+    def _report(self, log: Log, frames: int) -> None:
         """Say what could not be read of a log of so many frames: of one of several in one line."""
+        name, problems = log.name, log.problems
+        if self._each is not None and len(self._rules) > 1:
+            self._each(LogRead(name, log.kind, frames, problems.summary(), problems.note_line()))
+            self.status |= bool(problems) or not frames
+            return
         texts = problems.texts[:_PROBLEMS_SHOWN]
         if not frames:
             why = problems.texts[0].removeprefix(name) if problems else ""
@@ -482,12 +518,14 @@ def _last_stamp(name: str) -> int:
     return last_ns
 
 
-def _unfolded(name: str) -> list[str]:
-    """A folder as the logs in it, by their names; anything else as it is."""
-    folder, _, filters = name.partition(",")
+def _unfolded(name: str, left_out: list[Path]) -> list[str]:
+    """A folder as the logs in it, in the order of time; anything else as it is. left_out: gets its other files."""
+    folder, filters = name_and_filters(name)
     if folder == "-" or not _holds(folder, Path.is_dir):
         return [name]
-    logs = [path for path in Path(folder).iterdir() if path.is_file() and _log_like(path)]
+    files = sorted(path for path in Path(folder).iterdir() if path.is_file())
+    logs = [path for path in files if _log_like(path)]
+    left_out += [path for path in files if path not in logs]
     logs.sort(key=_first_stamp)
     if not logs:
         raise UserError(f"{folder}: no log in this folder")

@@ -7,6 +7,7 @@ sets this for itself before it initialises ROS 2, so it holds however the proces
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Final
@@ -17,6 +18,8 @@ _RANGE, _PROFILES, _BUILTIN = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "FASTDDS_BUILTIN_TRANSPORTS",
 )
+_DOMAIN: Final = "ROS_DOMAIN_ID"
+DOMAIN_MAX: Final = 232  # beyond it there are no UDP ports
 _IMPLEMENTATION, _LOCALHOST_ONLY = "RMW_IMPLEMENTATION", "ROS_LOCALHOST_ONLY"
 _FAST_DDS: Final = "rmw_fastrtps_cpp"  # rmw_fastrtps_shared_cpp reads the profile and the variables below
 
@@ -48,6 +51,19 @@ def set_transport(environ: MutableMapping[str, str]) -> str:
         return f"transport: UDP, on every network of this machine where {_RANGE}={environ[_RANGE]} says so"
     environ.pop(_LOCALHOST_ONLY, None)  # it would go before the range
     environ.update(LOOPBACK)
+    return ""
+
+
+def ros_trouble(environ: Mapping[str, str]) -> str:
+    """Why ROS 2 would not start in this environment, or on another domain than was meant, in one line; or ''."""
+    domain, implementation = environ.get(_DOMAIN, ""), environ.get(_IMPLEMENTATION, "")
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain[:9]) <= DOMAIN_MAX):
+        return f"{_DOMAIN} is '{domain}', not a number from 0 to {DOMAIN_MAX}"
+    if implementation:
+        try:
+            ctypes.CDLL(f"lib{implementation}.so")
+        except (OSError, ValueError):
+            return f"{_IMPLEMENTATION} is '{implementation}', which is not installed: unset it, or take {_FAST_DDS}"
     return ""
 
 

@@ -14,20 +14,30 @@ import struct
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import asammdf
 import numpy as np
 import pytest
 from asammdf.blocks import v4_constants
 from asammdf.blocks.conversion_utils import from_dict
+from hypothesis import given as drawing
+from hypothesis import settings
+from hypothesis import strategies as st
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.log import blocks
+from fsai_vcu.diagnostics.log.asc import AscRows
+from fsai_vcu.diagnostics.log.blocks import parse_block
 from fsai_vcu.diagnostics.log.formats import FORMATS
 from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.reader import Log, open_log
+from fsai_vcu.diagnostics.log.rows import Rows
+from fsai_vcu.diagnostics.log.trc import TrcRows
 
 ROWS = [(0x520, bytes(range(n % 3, n % 3 + 8))) if n % 2 else (0x514, bytes((n, 255 - n))) for n in range(24)]
 T0_S = 1_732_400_020
@@ -53,6 +63,7 @@ def asc(head: str = f"date {DATE}\nbase hex  timestamps absolute\n", begin: str 
 
 def trc(version: str) -> str:
     head = f";$FILEVERSION={version}\n;$STARTTIME=45619.59375\n;\n" if version != "1.0" else ";" + "#" * 40 + "\n;\n"
+    head += ";$COLUMNS=N,O,T,B,I,d,R,V,S,A,r,s,L,D\n" if version == "3.0" else ""
     row = {
         "1.0": "{n:6}) {ms:10} {i:04X} {l} {d}\n",
         "1.1": "{n:6}) {ms:10.1f} Rx {i:04X} {l} {d}\n",
@@ -60,7 +71,7 @@ def trc(version: str) -> str:
         "1.3": "{n:6}) {ms:10.3f} 1 Rx {i:04X} - {l} {d}\n",
         "2.0": "{n:6} {ms:10.3f} DT {i:04X} Rx {l} {d}\n",
         "2.1": "{n:6} {ms:10.3f} DT 1 {i:04X} Rx - {l} {d}\n",
-        "3.0": "{n:6} {ms:10.3f} DT 1 {i:04X} Rx - {l} {d}\n",
+        "3.0": "{n:6} {ms:10.3f} DT 1 {i:9X} Rx - - - -          - - {l:<4} {d}\n",
     }[version]
     return head + "".join(row.format(n=n, ms=n * 10, i=i, l=len(d), d=hexes(d)) for n, (i, d) in enumerate(ROWS, 1))
 
@@ -109,6 +120,19 @@ def pcap() -> bytes:
     return struct.pack("<LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + b"".join(each)
 
 
+def cooked(link: int, order: str = "<") -> bytes:
+    """A capture on `any`: each packet with the head of a cooked capture, the identifier in the computer's own order."""
+    head = (
+        struct.pack(">HHHQH", 0, 280, 0, 0, 0x000C) if link == 113 else struct.pack(">HHLHBBQ", 12, 0, 3, 280, 0, 0, 0)
+    )
+    own = [struct.pack(f"{order}L", int.from_bytes(packet[:4], "big")) + packet[4:] for packet in packets()]
+    each = (
+        struct.pack(f"{order}LLLL", T0_S, n * 10_000, len(head) + 16, len(head) + 16) + head + packet
+        for n, packet in enumerate(own)
+    )
+    return struct.pack(f"{order}LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link) + b"".join(each)
+
+
 def pcapng() -> bytes:
     def block(kind: int, body: bytes) -> bytes:
         body += bytes(-len(body) % 4)
@@ -137,6 +161,7 @@ def sqlite_db(folder: Path) -> bytes:
     return path.read_bytes()
 
 
+TRC_VERSIONS = ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1", "3.0")
 BUSMASTER_HEAD = (
     "***BUSMASTER Ver 3.2.2***\n***START DATE AND TIME 23:11:2024 14:15:00:000***\n***HEX***\n***SYSTEM MODE***\n"
 )
@@ -144,7 +169,7 @@ MADE: dict[str, Callable[[], str | bytes]] = {
     "candump": candump,
     "ASC": asc,
     "ASC without a head": lambda: asc(""),
-    **{f"TRC {version}": (lambda v: lambda: trc(v))(version) for version in ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1")},
+    **{f"TRC {version}": (lambda v: lambda: trc(v))(version) for version in TRC_VERSIONS},
     "GVRET": lambda: "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
     + "".join(f"{n * 10_000},{i:08X},false,Rx,0,{len(d)},{hexes(d, ',')},\n" for n, (i, d) in enumerate(ROWS)),
     "python-can CSV": lambda: table(
@@ -164,6 +189,9 @@ MADE: dict[str, Callable[[], str | bytes]] = {
     "BLF not packed": lambda: blf(packed=False),
     "pcap": pcap,
     "pcapng": pcapng,
+    "pcap of any": lambda: cooked(113),
+    "pcap of any, big-endian": lambda: cooked(113, ">"),
+    "pcap of any, with interfaces": lambda: cooked(276),
 }  # fmt: skip
 
 
@@ -189,6 +217,41 @@ def test_a_log_of_each_format_is_read_whole_and_in_time(what: str, tmp_path: Pat
 
 def test_a_database_of_python_can_is_read_whole(tmp_path: Path) -> None:
     assert_whole(*given(tmp_path / "run.db", sqlite_db(tmp_path)))
+
+
+def bag(folder: Path, kind: str = "can_msgs/msg/Frame") -> bytes:
+    """A bag of ROS 2 in SQLite, with one topic of that type, its messages as CDR."""
+    path = folder / "made.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute("CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        database.execute("INSERT INTO topics VALUES (1, '/from_can_bus', ?, 'cdr')", (kind,))
+        for n, (can_id, data) in enumerate(ROWS):
+            head = struct.pack("<iII4s", T0_S, n * 10_000_000, 4, b"can\0")
+            body = head + struct.pack("<IBBBB8s", can_id, 0, 0, 0, len(data), data)
+            database.execute("INSERT INTO messages VALUES (?, 1, ?, ?)", (n, 1, b"\0\1\0\0" + body))
+    database.close()
+    return path.read_bytes()
+
+
+def test_a_bag_of_ros_2_is_read_whole_or_named(tmp_path: Path) -> None:
+    assert_whole(*given(tmp_path / "run.db3", bag(tmp_path)))
+    (tmp_path / "made.db3").unlink()
+    frames, log = given(tmp_path / "run.db3", bag(tmp_path, "std_msgs/msg/String"))
+    assert frames == [] and "without a topic of can_msgs/Frame: record the bus itself" in log.problems.texts[0]
+
+
+@pytest.mark.parametrize("make", [sqlite_db, bag])
+def test_a_database_cut_or_changed_hides_no_loss(make: Callable[[Path], bytes], tmp_path: Path) -> None:
+    content = bytearray(make(tmp_path))
+    chance = random.Random(1)
+    for number in range(40):
+        at = chance.randrange(100, len(content))
+        spoilt = (
+            content[:at] if number % 2 else content[:at] + bytes([content[at] ^ 1 << number % 8]) + content[at + 1 :]
+        )
+        frames, log = given(tmp_path / "run.db", bytes(spoilt))
+        assert len(frames) <= len(ROWS) and (len(frames) == len(ROWS) or log.problems), at
 
 
 def test_each_format_has_a_row_in_the_documentation() -> None:
@@ -248,7 +311,7 @@ def test_a_packed_log_is_read_like_the_log_itself(how: str, what: str, tmp_path:
         (lambda: b"\x89MCAP0\r\n" + bytes(50), "an MCAP"),
         (lambda: b"MDF     3.30    " + bytes(50), "an MDF older than version 4"),
         (lambda: b"SQLite format 3\0" + bytes(84), "not readable as SQLite"),
-        (lambda: trc("3.0"), "TRC version 3.0 is not read: save it as 2.1"),
+        (lambda: trc("3.0").replace("3.0", "4.0"), "TRC version 4.0 is not read: save it as 2.1"),
         (lambda: b"\x00\x01\x02" * 50, "no format of a log that is read"),
     ],
 )
@@ -474,7 +537,7 @@ def test_a_log_cut_anywhere_has_no_other_frame(what: str, tmp_path: Path) -> Non
     for cut in [chance.randrange(len(content)) for _ in range(25)]:
         frames, log = given(tmp_path / "run.any", content[:cut])
         assert of(frames) == ROWS[: len(frames)]
-        if isinstance(made, bytes) and cut > 200 and what not in ("pcap", "pcapng"):
+        if isinstance(made, bytes) and cut > 200 and not what.startswith("pcap"):
             assert log.problems
         if isinstance(made, str) and not content[:cut].endswith(b"\n"):
             behind = content[:cut].rpartition(b"\n")[2]
@@ -497,6 +560,86 @@ def test_a_log_with_a_changed_byte_ends_in_frames_and_words(what: str, tmp_path:
         assert all("\n" not in text for text in log.problems.texts)
         if len(frames) < len(ROWS) and at > 144:
             assert log.problems or log.problems.notes, at
+
+
+# ---------------------------------------------------------------- read together, or one by one
+
+
+WIDE: dict[str, tuple[type[Rows], str, list[str]]] = {
+    "ASC": (
+        AscRows,
+        f"date {DATE}\nbase hex  timestamps absolute\n",
+        [
+            "   0.010000 1  520             Rx   d 8 01 02 03 04 05 06 07 08\n",
+            "  12.345678 2  18FF0001x       Tx   d 3 01 02 03  Length = 240015 BitCount = 124 ID = 291\n",
+            "   0.5 1  7 Rx d 0\n",
+            "   0.020000 1  521             Rx   d 2 0A 0B \r\n",
+            f"Begin Triggerblock {DATE}\n",
+            "base dec\n",
+            "base hex  timestamps relative\n",
+            "date Sun Nov 24 02:15:00.000 pm 2024\n",
+            "   0.030000 1  ErrorFrame\n",
+        ],
+    ),
+    "TRC": (
+        TrcRows,
+        ";$FILEVERSION=2.1\n;$STARTTIME=45619.59375\n",
+        [
+            "      1         1.059 DT 1      0300 Rx -  7    00 00 00 00 04 00 00\n",
+            "      2         1.283 DT  2 00000300 Tx -  8    00 01 02 03 04 05 06 07\n",
+            "     33       298.945 ST 1         - Rx -  5    00 00 00 08 00\n",
+            "     34       300.000 DT 1      0301 Rx -  0\n",
+            ";$STARTTIME=45620.5\n",
+            ";$FILEVERSION=1.1\n",
+            ";$FILEVERSION=1.3\n",
+            ";$COLUMNS=N,O,T,I,d,l,D\n",
+            "     1)      1841 0001 8 00 00 00 00 00 00 00 00\n",
+            "     2)      1842.5  Rx        0007  3  00 00 00 \n",
+            "     3)      1843.25 1  Tx        18FF0001 -  2    00 00\n",
+        ],
+    ),
+}
+
+
+@settings(max_examples=80)
+@drawing(st.data())
+def test_rows_read_together_are_what_they_are_one_by_one(data: st.DataObject) -> None:
+    kind, head, rows = WIDE[data.draw(st.sampled_from(sorted(WIDE)))]
+    drawn = st.lists(st.tuples(st.sampled_from(rows), st.integers(1, 60)), max_size=6)
+    text = head + "".join(row * often for row, often in data.draw(drawn))
+    for place, letter in data.draw(
+        st.lists(st.tuples(st.integers(0, 5000), st.sampled_from(" 0aFx.-T;\n\t\0é")), max_size=5)
+    ):
+        text = text[: place % (len(text) + 1)] + letter + text[place % (len(text) + 1) + 1 :]
+    block = np.frombuffer(text.encode() + b"\n", np.uint8)
+
+    class OneByOne(kind):  # type: ignore[misc,valid-type]
+        def pattern(self) -> None:
+            return None
+
+    (together, *of_one), (alone, *of_other) = (parse_block(block, [], each(Problems())) for each in (kind, OneByOne))
+    assert list(together) == list(alone) and of_one == of_other
+
+
+@pytest.mark.parametrize(
+    "what", ["candump", "ASC", *(f"TRC {version}" for version in ("1.0", "1.1", "1.3", "2.1", "3.0"))]
+)
+def test_rows_of_a_usual_file_are_read_together(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = str(MADE[what]()).splitlines(True)
+    head, row_texts = text[: -len(ROWS)], text[-len(ROWS) :]
+    block = np.frombuffer("".join([*head, *row_texts * 5]).encode(), np.uint8)
+    kind = next(each.rows for each in FORMATS if each.rows and what.startswith(each.name))
+    assert kind is not None
+    singly: list[int] = []
+    one_by_one = blocks.read_lines
+
+    def read_lines(lines: Iterator[tuple[int, bytes]], *more: Any) -> None:
+        one_by_one(((singly.append(line[0]), line)[1] for line in lines), *more)
+
+    monkeypatch.setattr(blocks, "read_lines", read_lines)
+    frames, unreadable, lines = parse_block(block, [], kind(Problems()))
+    assert of(list(frames)) == ROWS * 5 and not unreadable
+    assert len(singly) <= 64 < lines
 
 
 # ---------------------------------------------------------------- candump's side lines
@@ -606,3 +749,25 @@ def test_a_folder_of_logs_of_many_kinds_is_one_log(tmp_path: Path, capsys: pytes
     assert said.err == "" and said.out.count('"channel"') >= 2
     main(["dump", "-L", "--no-signals", str(tmp_path)])
     assert len(capsys.readouterr().out.splitlines()) == 4 * len(ROWS)
+
+
+def test_check_of_a_folder_is_a_line_for_each_log_and_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.log").write_text(candump())
+    (tmp_path / "b.blf").write_bytes(blf(closed=False))
+    (tmp_path / "c.trc").write_text("")
+    (tmp_path / "notes.md").write_text("what we did")
+    assert main(["check", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    of_logs = {
+        name: [line for line in said.out.splitlines() if f"/{name}: " in line] for name in ("a.log", "b.blf", "c.trc")
+    }
+    assert said.err == "" and [*map(len, of_logs.values())] == [1, 1, 1]
+    assert of_logs["a.log"][0].endswith("a.log: candump, 24 frames")
+    assert "BLF, 24 frames; not readable as BLF after frame 24: its logger did not close it" in of_logs["b.blf"][0]
+    assert of_logs["c.trc"][0].endswith("c.trc: no frames in it")
+    assert "no logs, and left out: notes.md" in said.out
+    assert sum(line.startswith("verdict: ") for line in said.out.splitlines()) == 1
+    main(["check", str(tmp_path), "--json"])
+    assert capsys.readouterr().out.count('"type": "log"') == 3

@@ -19,9 +19,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.log.candump import log_lines, parse_block
+from fsai_vcu.diagnostics.log.blocks import parse_block
+from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.candump_line import date_text, parse_line, screen_line, time_text
+from fsai_vcu.diagnostics.log.candump_rows import CandumpRows
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined, straightened
+from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.reader import LogError, open_log, read_log
 
 T0_NS = 1_436_509_053_850_870_000
@@ -287,11 +290,12 @@ def test_reading_many_lines_at_once_is_reading_each_line(
 @settings(max_examples=150)
 def test_the_fast_reader_reads_what_the_careful_one_reads(text: str, template: str) -> None:
     lines = template.format(text).encode("latin-1")
-    frames, unreadable, _ = parse_block(np.frombuffer(lines, np.uint8), [])
+    frames, unreadable, _ = parse_block(np.frombuffer(lines, np.uint8), [], CandumpRows(Problems()))
     careful, wrong = [], []
     for number, line in enumerate(lines.split(b"\n")[:-1]):
         try:
-            careful.append(parse_line(line.removesuffix(b"\r").decode("ascii")))
+            found = CandumpRows(Problems())(line.removesuffix(b"\r").decode("ascii"))
+            careful += [found] if found is not None else []
         except ValueError:
             wrong += [number] if line.strip() else []
     assert list(frames) == careful
@@ -304,7 +308,8 @@ def test_lines_of_candumps_screen_are_read_together(time: str, way: str) -> None
     """Not one by one: a line of each length and kind, all in one block."""
     frames = [frame(n, bytes(range(240, 240 + n)), channel="can1", extended=wide) for n in range(9) for wide in (0, 1)]
     lines = [f"{time}{screen_line(each).replace('can1  ', 'can1  ' + way)}" for each in frames]
-    found, unreadable, _ = parse_block(np.frombuffer("".join(f"{line}\n" for line in lines).encode(), np.uint8), [])
+    text = "".join(f"{line}\n" for line in lines).encode()
+    found, unreadable, _ = parse_block(np.frombuffer(text, np.uint8), [], CandumpRows(Problems()))
     assert not unreadable
     assert list(found) == [parse_line(line) for line in lines]
     assert [(f.can_id, f.data, f.sent) for f in found] == [

@@ -67,6 +67,26 @@ def test_without_a_place_for_log_files_a_node_starts_and_says_so(
         process.communicate()
 
 
+def test_a_ros_that_would_not_start_gets_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "9999")
+    process = start("path_planner")
+    _, error_output = process.communicate(timeout=LONG_S)
+    line = "path_planner: ROS 2 does not start: ROS_DOMAIN_ID is '9999', not a number from 0 to 232"
+    assert (process.returncode, complaint(error_output)) == (1, [line])
+
+
+@pytest.mark.parametrize("module", ["rclpy", "numpy"])
+def test_ctrl_c_while_a_node_loads_ends_it_without_a_word(module: str) -> None:
+    argv = [sys.executable, "-X", "importtime", "-m", "fsai_nodes.path_planner"]  # which says each that is loaded
+    process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert any(f"| {module}" in " ".join(line.split()) for line in process.stderr)
+    process.send_signal(signal.SIGINT)
+    _, error_output = process.communicate(timeout=LONG_S)
+    said = [line for line in complaint(error_output) if not line.startswith("import time:")]
+    assert said == [] and process.returncode in (0, -signal.SIGINT)
+
+
 def test_an_occupied_truth_port_gets_one_clear_line() -> None:
     from fsai_hil.simulator.ground_truth import TruthReceiver
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 
 from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Machine, Wanted
 from fsai_vcu.diagnostics.finding import Finding
+from fsai_vcu.runtime.transport import DOMAIN_MAX
 
 _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 _IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
 _NO_CONFIGURATION = "needs the configuration"
 _AT_ONCE = 20  # files of a command
-_DOMAIN_MAX = 232  # beyond it there are no UDP ports
 _SETTLE = "sudo /usr/lib/fsai/settle"  # sets which bus the services are for
 _ANOTHER = f"name another in [can] interface and to the services: {_SETTLE} NAME"
 # No do_set_mode in drivers/net/can/usb/gs_usb.c: some kernels refuse restart-ms, others accept it and never restart.
@@ -46,7 +46,7 @@ def vcan(machine: Machine) -> Iterator[Finding]:
 
 def domain(machine: Machine) -> Iterator[Finding]:
     here = f"domain {machine.domain_id}"
-    if not machine.domain_id.isdecimal() or int(machine.domain_id) > _DOMAIN_MAX:
+    if not machine.domain_id.isdecimal() or int(machine.domain_id) > DOMAIN_MAX:
         words = f"ROS_DOMAIN_ID is {machine.domain_id}, and no ROS program starts with it"
         yield _wrong("DDS", words, "unset it, or a number up to 101 that nobody else on your network has")
     elif machine.transport:

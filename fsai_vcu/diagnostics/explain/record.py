@@ -1,7 +1,8 @@
 """A log as explanations read it: signals over time, gaps, the handshake, and who else was on the bus.
 
 Everything here comes from the frames alone, of both directions. Times are nanoseconds of the log's clock, made
-monotonic: where that clock was set back, what follows is moved forward by as much.
+monotonic: where that clock was set back, what follows is moved forward by as much. Where it was set forward, whoever
+judges the log has moved the frames (verdict/own_faults.py).
 """
 
 from __future__ import annotations
@@ -206,7 +207,8 @@ class Record:
     """The frames of one car's bus, by message and signal.
 
     frames: of the one bus that has the car's messages, with the monotonic times; error_ns: when an error frame came.
-    wrong_length: how often a message came so, and when first. set_back: where the log's clock was, and by how much.
+    wrong_length: how often a message came so, and when first. clock_set: when the log's clock was, and by how much
+    (back: less than 0). perhaps_set: the ends of pauses over which nothing breaks, so that it may have been set there.
     """
 
     def __init__(self, frames: Frames, revision: str | None = None, databases: Databases | None = None) -> None:
@@ -225,7 +227,8 @@ class Record:
         others = zip(frames.channels, counts, strict=True)
         self.other_channels = {name: count for name, count in others if count and name != self.channel}
         straight, back_ns = straightened(frames.t_ns)
-        self.set_back = [(int(straight[row]), int(back_ns[row])) for row in np.flatnonzero(back_ns)]
+        self.clock_set = [(int(straight[row]), -int(back_ns[row])) for row in np.flatnonzero(back_ns)]
+        self.perhaps_set: Sequence[int] = ()
         self.begin_ns, self.end_ns = int(straight[0]), int(straight[-1])
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
@@ -387,6 +390,10 @@ class Record:
         """(from, to) where no frame at all was received: the bus was dead, or the recording paused."""
         times = self.frames.t_ns
         return tuple((int(times[place]), int(times[place + 1])) for place in np.flatnonzero(np.diff(times) > DEAD_NS))
+
+    def perhaps_set_at(self, t_ns: int) -> bool:
+        """Whether the pause that ends about then may be the log's clock."""
+        return any(abs(end_ns - t_ns) <= DEAD_NS for end_ns in self.perhaps_set)
 
     def silence_in(self, gap: Gap) -> bool:
         """Whether a silence of everybody is nearly all of this gap of one message."""

@@ -268,7 +268,7 @@ def _link(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _bus(record: Record) -> Iterator[TimelineEntry]:
-    """Error frames (grouped), frames of wrong length, a clock that was set back."""
+    """Error frames (grouped), frames of wrong length, a clock that was set."""
     for burst in np.split(record.error_ns, np.flatnonzero(np.diff(record.error_ns) > GONE_NS) + 1):
         if len(burst):
             first, last = int(burst[0]), int(burst[-1])
@@ -279,6 +279,7 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
         grave = known is not None and known.flow in (Flow.TO_VCU, Flow.FROM_VCU)
         text = f"{known or f'0x{can_id:03X}'} with the wrong length ({count} frames): it counts as missing"
         yield TimelineEntry(first, "bus", text, FAULT if grave else WARNING, can_id)
-    for t_ns, back_ns in record.set_back:
-        text = f"the log's clock was set back by {ms(back_ns)}: what follows is moved on"
+    for t_ns, by_ns in sorted(record.clock_set):
+        way = "back" if by_ns < 0 else "forward"
+        text = f"the log's clock was set {way} by {ms(abs(by_ns))}: times are as if it had not been"
         yield TimelineEntry(t_ns, "bus", text, WARNING)

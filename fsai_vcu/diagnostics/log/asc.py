@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from datetime import datetime
 from typing import Final
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
-from fsai_vcu.diagnostics.log.frames import LogFrame
+import numpy as np
+
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS
+from fsai_vcu.diagnostics.log.frames import Ints, LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.rows import (
     BUS_ERROR,
@@ -19,6 +22,7 @@ from fsai_vcu.diagnostics.log.rows import (
     REQUESTS,
     WARNING,
     WAYS,
+    Pattern,
     Rows,
     bytes_of,
     error_frame,
@@ -35,9 +39,11 @@ HEAD: Final = re.compile(
 
 _ROW = re.compile(r"(-?\d+(?:[.,]\d+)?)\s+(\S.*)")
 _PLAIN = re.compile(
-    r"\s*(\d{1,10})\.(\d{1,9})\s+(\d{1,3})\s+([0-9A-Fa-f]{1,8})([xX]?)\s+([RT])x\s+d\s+([0-8])((?:\s+[0-9A-Fa-f]{2}){0,8})\s*"
+    rb" *(?P<time>\d{1,10})\.(?P<decimals>\d{1,9}) +(?P<channel>\d{1,3}) +(?P<id>[0-9A-Fa-f]{1,8})(?P<wide>[xX]?) +"
+    rb"(?P<way>[RT])x +d (?P<length>[0-8])"
 )
 _MOST_NS: Final = MAX_SECONDS * 1_000_000_000
+_TAIL: Final = b"  Length = "  # what Vector's tools write behind the data
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,6}))?\s*([ap])?\.?m?\.?\b", re.IGNORECASE)
 # By the first letters in English, German, French, Italian, Spanish, Portuguese; ? is a letter that was garbled.
 _MONTHS: Final = (
@@ -62,10 +68,39 @@ class AscRows(Rows):
 
     def __init__(self, told: Problems) -> None:
         super().__init__(told)
-        self._start_ns = self._now_ns = 0
+        self._start_ns = self._at_ns = 0  # of the date in the head; of the row
+        self._now_ns = self._begun_ns = self._passed_ns = 0  # where times are differences: see times
         self._base = 16
         self._relative = self._block_open = False
-        self._channels: dict[str, str] = {}
+
+    def pattern(self) -> Pattern | None:
+        if self._base != 16:
+            return None
+        return Pattern(
+            _PLAIN,
+            lambda found: _channel(found["channel"].decode()),
+            lambda found: bool(found["wide"]),
+            begin_ns=0 if self._relative else self._start_ns,
+            tail=_TAIL,
+        )
+
+    def state(self) -> object:
+        return self._relative, self._base, self._start_ns, self._begun_ns, self._passed_ns
+
+    def times(self) -> Callable[[Ints], Ints] | None:
+        return self._added_up if self._relative else None
+
+    def _added_up(self, t_ns: Ints) -> Ints:
+        """Of frames whose rows say differences; behind them came a date, or a row that is no frame but takes time."""
+        if self._now_ns + float(t_ns.sum(dtype=np.float64)) > _MOST_NS:
+            t_ns = np.minimum(np.cumsum(t_ns, dtype=np.float64), float(_MOST_NS - self._now_ns)).astype(np.int64)
+        else:
+            t_ns = np.cumsum(t_ns)
+        t_ns = t_ns + self._now_ns
+        last_ns = int(t_ns[-1]) if len(t_ns) else self._now_ns
+        self._now_ns = min(max(last_ns + self._passed_ns, self._begun_ns, 0), _MOST_NS)
+        self._passed_ns = self._begun_ns = 0
+        return t_ns
 
     def is_whole(self, line: str) -> bool:
         return super().is_whole(line) or line.strip().lower() == "end triggerblock"
@@ -74,8 +109,6 @@ class AscRows(Rows):
         return "its last trigger block has no end" if self._block_open else ""
 
     def __call__(self, line: str) -> LogFrame | None:
-        if self._base == 16 and (plain := _PLAIN.fullmatch(line)):
-            return self._plain(plain)
         text = line.strip()
         lower = text.lower()
         if lower.startswith(("date ", "begin triggerblock")):
@@ -85,9 +118,13 @@ class AscRows(Rows):
             self._base = 10 if lower.split()[1].startswith("dec") else 16
             self._relative = "relative" in lower
         elif row := _ROW.match(text):
-            t_ns = ns_of(row[1])
-            self._now_ns = t_ns + (self._now_ns if self._relative else self._start_ns)
-            return self._event(row[2])
+            self._at_ns = ns_of(row[1]) + (0 if self._relative else self._start_ns)
+            frame = None
+            try:
+                frame = self._event(row[2])
+            finally:
+                self._passed_ns += self._at_ns if self._relative and frame is None else 0
+            return frame
         elif lower.startswith("end triggerblock"):
             self._block_open = False
         elif line.startswith((";", "//")) or lower.startswith(("no internal events", "internal events")):
@@ -96,18 +133,6 @@ class AscRows(Rows):
             raise ValueError("not a row of ASC")
         return None
 
-    def _plain(self, row: re.Match[str]) -> LogFrame:
-        """A row as most are, quickly."""
-        seconds, fraction, bus, id_text, extended, way, dlc, text = row.groups()
-        t_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
-        self._now_ns = t_ns + (self._now_ns if self._relative else self._start_ns)
-        can_id, length = int(id_text, 16), int(dlc)
-        data = bytes.fromhex(text)[:length]
-        if len(data) < length or can_id > (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID) or self._now_ns > _MOST_NS:
-            return frame_of(self._now_ns, _channel(bus), id_text, data, length, extended=bool(extended))
-        channel = self._channels.get(bus) or self._channels.setdefault(bus, _channel(bus))
-        return LogFrame(self._now_ns, channel, can_id, data, bool(extended), sent=way == "T", length=length)
-
     def _begin(self, date: str) -> None:
         if not date.strip():
             return
@@ -115,7 +140,7 @@ class AscRows(Rows):
         if begin_ns is None:
             self.told.note(f"the date in the head cannot be read, and times count from 0: '{date.strip()[:60]}'")
         elif self._relative:
-            self._now_ns = max(self._now_ns, begin_ns)
+            self._begun_ns = begin_ns
         else:
             self._start_ns = self._now_ns = begin_ns
 
@@ -132,7 +157,7 @@ class AscRows(Rows):
             if words[1].lower().startswith("errorframe"):
                 return self._error(channel)
             if words[1].lower().startswith("overloadframe"):
-                return error_frame(self._now_ns, channel, PROTOCOL, protocol=OVERLOAD)
+                return error_frame(self._at_ns, channel, PROTOCOL, protocol=OVERLOAD)
             if "status:" in lower:
                 return self._state(channel, lower)
             if len(words) > 3 and words[2].lower() in ("rx", "tx", "txrq", "txerr"):
@@ -161,7 +186,7 @@ class AscRows(Rows):
             raise ValueError("two rows in one line")
         data = b"" if remote else bytes_of(words[5 : 5 + length], self._base)
         frame = frame_of(
-            self._now_ns, channel, id_text, data, length,
+            self._at_ns, channel, id_text, data, length,
             base=self._base, extended=extended, remote=remote, sent=WAYS.get(way),
         )  # fmt: skip
         return self._on_the_bus(frame, way)
@@ -183,7 +208,7 @@ class AscRows(Rows):
         remote = bool(flags & 0x10)
         id_text, extended = _identifier(words[3])
         frame = frame_of(
-            self._now_ns, channel, id_text, data, length if not remote else min(int(words[at + 2], 16), 8),
+            self._at_ns, channel, id_text, data, length if not remote else min(int(words[at + 2], 16), 8),
             base=self._base, extended=extended, remote=remote, fd=bool(flags & 0x1000), brs=brs, esi=esi,
             sent=WAYS.get(way),
         )  # fmt: skip
@@ -197,12 +222,12 @@ class AscRows(Rows):
         return self._error(frame.channel) if way == "txerr" else frame
 
     def _error(self, channel: str) -> LogFrame:
-        return error_frame(self._now_ns, channel, BUS_ERROR)
+        return error_frame(self._at_ns, channel, BUS_ERROR)
 
     def _state(self, channel: str, lower: str) -> LogFrame | None:
         for word, kinds, controller in _STATES:
             if word in lower:
-                return error_frame(self._now_ns, channel, kinds, controller=controller)
+                return error_frame(self._at_ns, channel, kinds, controller=controller)
         self.told.note("a row of a controller's status that is no error")
         return None
 

@@ -41,15 +41,17 @@ class Unreadable(NamedTuple):
 
 
 def read_lines(
-    lines: Iterable[tuple[int, bytes]], parse: Callable[[str], LogFrame | None], encoding: str = "ascii"
-) -> tuple[dict[int, LogFrame], list[Unreadable]]:
-    """The frames that `parse` finds (or its ValueErrors), by the numbers of their lines. Empty lines are none.
+    lines: Iterable[tuple[int, bytes]],
+    parse: Callable[[str], LogFrame | None],
+    encoding: str,
+    frames: dict[int, LogFrame],
+    unreadable: list[Unreadable],
+) -> None:
+    """Add the frames that `parse` finds (or its ValueErrors), by the numbers of their lines. Empty lines are none.
 
     encoding: 'ascii' takes nothing else for text; in any other what is no text of it is replaced.
     """
     errors = "strict" if encoding == "ascii" else "replace"
-    frames: dict[int, LogFrame] = {}
-    unreadable: list[Unreadable] = []
     for number, line in lines:
         if len(line) > LONGEST_LINE:
             unreadable.append(Unreadable(number, too_long(line)))
@@ -67,7 +69,6 @@ def read_lines(
         else:
             if frame is not None:
                 frames[number] = frame
-    return frames, unreadable
 
 
 def too_long(line: bytes) -> str:

@@ -7,7 +7,8 @@ from typing import Final
 
 from fsai_vcu.diagnostics.log.candump_line import parse_line, whole_line
 from fsai_vcu.diagnostics.log.frames import LogFrame
-from fsai_vcu.diagnostics.log.rows import Rows
+from fsai_vcu.diagnostics.log.rows import Pattern, Rows
+from fsai_vcu.printable import printable
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 HEAD: Final = re.compile(
@@ -27,8 +28,26 @@ _SHORTEST: Final = 15  # of what is said in full sentences, or stands before a f
 _BEHIND_PREFIX = re.compile(r"(?:[^()#\[\]]|\[\d+\])*?\s(\(\d[\d.]*\)\s+\S+\s+\S.*)")
 
 
+_ROW = Pattern(
+    re.compile(
+        rb" {0,8}(?:\((?P<time>\d{1,10})\.(?P<decimals>\d{6})\) {1,8})?(?P<channel>[^\s()\0]{1,15}) {1,8}"
+        rb"(?:(?P<way>[RT])X - -  )?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
+        rb"(?:(?(way)(?!))(?(time)|(?!))#| {1,8}\[(?P<length>[0-8])\] )"  # a log has times, and its marks at the end
+    ),
+    lambda found: printable(found["channel"].decode("ascii", "replace")),
+    lambda found: len(found["id"]) > 3,
+    marked=True,
+    tail=None,
+)
+
+
 class CandumpRows(Rows):
-    """Reads the lines of one log."""
+    """Reads the lines of one log, or of a screen."""
+
+    encoding = "ascii"
+
+    def pattern(self) -> Pattern:
+        return _ROW
 
     def is_whole(self, line: str) -> bool:
         return whole_line(line)

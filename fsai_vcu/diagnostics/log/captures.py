@@ -17,7 +17,12 @@ PCAP: Final = {  # byte order, and the unit of the fraction of a second
     b"\xa1\xb2\x3c\x4d": (">", 1),
 }
 PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
-_SOCKETCAN: Final = 227  # link type, tcpdump.org/linktypes.html
+# Link types (tcpdump.org/linktypes.html): of one interface, and of `any` with the head of a cooked capture before.
+_SOCKETCAN, _COOKED, _COOKED_2 = 227, 113, 276
+_COOKED_HEAD: Final = struct.Struct(">HHH8xH")  # kind of packet, kind of device, …, protocol
+_COOKED_2_HEAD: Final = struct.Struct(">HxxLHBB8x")  # protocol, …, number of the interface, kind of device, of packet
+_PROTOCOLS: Final = (0x000C, 0x000D)  # CAN, CAN FD (linux/if_ether.h)
+_OUTGOING: Final = 4  # kind of packet: sent by the computer that captured (linux/if_packet.h)
 _PACKET_BYTES: Final = 256 << 10
 _SECTION, _INTERFACE, _SIMPLE, _PACKET = 0x0A0D0D0A, 1, 3, 6  # blocks of pcapng
 _RESOLUTION: Final = 9  # option of an interface
@@ -29,36 +34,52 @@ def read_capture(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFr
     """All CAN frames of a capture. Raises ReadingEnds where it ends before its end."""
     magic = stream.read(4)
     packets = _pcapng(stream, told) if magic == PCAPNG else _pcap(stream, *PCAP[magic])
-    for number, (link, channel, t_ns, packet, length) in enumerate(packets, 1):
-        if link != _SOCKETCAN:
-            told.note(
-                f"a packet of link type {link}, which is no frame of a CAN interface (capture on can0, not on any)"
-            )
-            continue
+    for number, (link, channel, t_ns, packet, length, order) in enumerate(packets, 1):
         try:
             if len(packet) < length:
                 raise ValueError("it was cut by the capture")
-            yield _frame(t_ns, channel, packet)
+            sent = None
+            if link in (_COOKED, _COOKED_2):
+                protocol, kind, channel, packet = _uncooked(link, channel, packet)
+                if protocol not in _PROTOCOLS:
+                    told.note("a packet of another interface, which is no frame of CAN")
+                    continue
+                sent = kind == _OUTGOING
+            elif link != _SOCKETCAN:
+                told.note(f"a packet of link type {link}, which is no frame of a CAN interface")
+                continue
+            yield _frame(t_ns, channel, packet, ">" if link == _SOCKETCAN else order, sent)
         except (ValueError, struct.error) as error:
             words = "it is too short" if isinstance(error, struct.error) else error
             told.add(f"{name}: packet {number} is left out: {words}")
 
 
-def _frame(t_ns: int, channel: str, packet: bytes) -> LogFrame:
-    number, length, marks = struct.unpack_from(">LBB", packet)
+def _uncooked(link: int, channel: str, packet: bytes) -> tuple[int, int, str, bytes]:
+    """(protocol, kind of packet, channel, what is behind the head). Raises struct.error."""
+    if link == _COOKED:
+        kind, _, _, protocol = _COOKED_HEAD.unpack_from(packet)
+        return protocol, kind, channel, packet[_COOKED_HEAD.size :]
+    protocol, interface, _, kind, _ = _COOKED_2_HEAD.unpack_from(packet)
+    return protocol, kind, f"if{interface}", packet[_COOKED_2_HEAD.size :]
+
+
+def _frame(t_ns: int, channel: str, packet: bytes, order: str, sent: bool | None) -> LogFrame:
+    """order: of the identifier's bytes; in a cooked capture that of the computer that captured."""
+    number, length, marks = struct.unpack_from(f"{order}LBB", packet)
     data = packet[8 : 8 + length]
     fd = bool(marks & 4) or len(packet) == 72
     if number & 0x2000_0000:
-        return LogFrame(t_ns, channel, number & 0x1FFF_FFFF, data[:8], error=True)
+        return LogFrame(t_ns, channel, number & 0x1FFF_FFFF, data[:8], error=True, sent=sent)
     extended, remote = bool(number >> 31), bool(number >> 30 & 1)
     can_id = number & (0x1FFF_FFFF if extended else 0x7FF)
     brs, esi = fd and bool(marks & 1), fd and bool(marks & 2)
     return frame_of(
-        t_ns, channel, f"{can_id:X}", data, length, extended=extended, remote=remote, fd=fd, brs=brs, esi=esi
+        t_ns, channel, f"{can_id:X}", data, length, extended=extended, remote=remote, fd=fd, brs=brs, esi=esi, sent=sent
     )
 
 
-_Packets = Iterator[tuple[int, str, int, bytes, int]]  # link type, channel, time, content, its whole length
+_Packets = Iterator[tuple[int, str, int, bytes, int, str]]
+"""Link type, channel, time, content, its whole length, and the order of bytes of the computer that captured."""
 
 
 def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
@@ -75,7 +96,7 @@ def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
         packet = stream.read(length)
         if len(packet) < length:
             raise ReadingEnds("cut off")
-        yield link, "can0", seconds * 1_000_000_000 + fraction * unit_ns, packet, whole
+        yield link, "can0", seconds * 1_000_000_000 + fraction * unit_ns, packet, whole, order
 
 
 def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
@@ -108,7 +129,7 @@ def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
             if number >= len(interfaces) or length > len(body) - 24:
                 raise ReadingEnds("a packet that is none")
             link, channel, units = interfaces[number]
-            yield link, channel, (high << 32 | low) * 1_000_000_000 // units, body[20 : 20 + length], whole
+            yield link, channel, (high << 32 | low) * 1_000_000_000 // units, body[20 : 20 + length], whole, order
         elif kind == _SIMPLE:
             raise ReadingEnds("packets without times")
         elif kind not in (_SECTION, _INTERFACE):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,8 +74,16 @@ class FrameFilter:
 
 def split_source(text: str) -> tuple[str, FrameFilter]:
     """`can0,520:7FF` as (interface or file, filter). Raises ValueError."""
-    name, _, filters = text.partition(",")
+    name, filters = name_and_filters(text)
     return name, FrameFilter.parse(filters)
+
+
+def name_and_filters(text: str) -> tuple[str, str]:
+    """The longest name in front of a comma, or without one, that is a file's; without any what is before the first."""
+    ends = [len(text), *(found.start() for found in re.finditer(",", text))]
+    there = [end for end in ends if os.path.exists(text[:end])]  # noqa: PTH110  a name that can be none is none
+    end = max(there, default=min(ends))
+    return text[:end], text[end + 1 :]
 
 
 def filtered(frames: Frames, filters: Sequence[tuple[str, FrameFilter]]) -> Frames:

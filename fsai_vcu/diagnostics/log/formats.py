@@ -72,7 +72,7 @@ FORMATS: Final = (
         "pcap", (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d"), frames=_capture
     ),
     Format("pcapng", (b"\x0a\x0d\x0d\x0a",), frames=_capture),
-    Format("SQLite of python-can", (b"SQLite format 3\0",), columns=_sqlite),
+    Format("SQLite", (b"SQLite format 3\0",), columns=_sqlite),
     Format("ASC", line=asc.HEAD, rows=asc.AscRows),
     Format("TRC", line=trc.HEAD, rows=trc.TrcRows),
     Format("GVRET", line=gvret.HEAD, rows=gvret.GvretRows),
@@ -87,7 +87,10 @@ FORMATS: Final = (
 _FOREIGN: Final = (
     (b"MDF ", "an MDF older than version 4: convert it to MF4 (asammdf does)"),
     (b"UnFinMF ", "an MDF older than version 4: convert it to MF4 (asammdf does)"),
-    (b"\x89MCAP0", "an MCAP: what was exported to it is not read back; take the log that it was made from"),
+    (
+        b"\x89MCAP0",
+        "an MCAP: of a bag of ROS 2 make one of sqlite3 (ros2 bag convert); instead of an export take its log",
+    ),
     (b"#ROSBAG", "a bag of ROS 1: record the bus itself (fsai-vcu record)"),
     (b"PAR1", "a Parquet table: take the log that it was made from"),
     (b"\x89HDF", "an HDF5 or MATLAB file: export the log as MF4, BLF or ASC"),

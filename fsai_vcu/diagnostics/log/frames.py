@@ -33,7 +33,7 @@ Ints = npt.NDArray[np.int64]
 Words = npt.NDArray[np.uint64]
 Mask = npt.NDArray[np.bool_]
 
-_MOST_CHANNELS: Final = 256  # that a log names; no car has a tenth of it
+MOST_CHANNELS: Final = 256  # that a log names; no car has a tenth of it
 _OTHERS: Final = "others"  # what is said of more
 
 
@@ -141,7 +141,7 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
     rows = list(records)
     spelt = {channel: printable(channel) for channel in dict.fromkeys(frame.channel for frame in rows)}
     for channel, name in spelt.items():
-        if name not in names and len(names) >= _MOST_CHANNELS:
+        if name not in names and len(names) >= MOST_CHANNELS:
             name = spelt[channel] = _OTHERS
         if name not in names:
             names.append(name)
@@ -189,11 +189,12 @@ def joined(parts: Iterable[Frames]) -> Frames:
     return Frames(**columns, channels=[*numbers] or channels, long=long)
 
 
-def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
-    """The times with every step back taken out, and by how much each is one. before_ns: of the frame before.
+def set_right(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
+    """The times without the steps back of a clock that was set, and by how much each is one.
 
-    Small steps are no clock that was set, but frames of two receivers out of order; nor is one where the next frames
-    are no earlier than the ones before: then a frame or two were stamped wrongly. They do not move what follows.
+    before_ns: of the frame before. Small steps are no clock that was set, but frames of two receivers out of order, and
+    stay. Nor is one where the next frames are no earlier than the ones before: then a few frames were stamped wrongly,
+    too late or too early. They get the time of the next one or of the one before.
     """
     if (before_ns is None or t_ns[0] >= before_ns) and (t_ns[1:] >= t_ns[:-1]).all():
         return t_ns, np.zeros_like(t_ns)
@@ -201,11 +202,24 @@ def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
     back_ns = -np.diff(known_ns)
     at = np.flatnonzero(back_ns > OUT_OF_ORDER_NS)[:, None]
     near = np.arange(_NEAR)
-    before, after = (
-        np.sort(known_ns[np.clip(rows, 0, len(t_ns))])[:, _NEAR // 2] for rows in (at - near, at + 1 + near)
-    )
-    set_back = at[after < before]
+    rows_before, rows_after = (np.clip(rows, 0, len(t_ns)) for rows in (at - near, at + 1 + near))
+    before, after = (np.sort(known_ns[rows])[:, _NEAR // 2] for rows in (rows_before, rows_after))
     steps_ns = np.zeros_like(back_ns)
+    set_back = at[after < before]
     steps_ns[set_back] = back_ns[set_back]
-    moved_ns = t_ns + np.cumsum(steps_ns)
+    too_late = (after >= before) & (known_ns[at[:, 0] + 1] >= before)
+    too_early = (after >= before) & ~too_late
+    for wrong, rows, right, cut in (
+        (too_late, rows_before, at + 1, np.minimum),
+        (too_early, rows_after, at, np.maximum),
+    ):
+        right_ns = np.broadcast_to(known_ns[right], rows.shape)
+        far = wrong[:, None] & (np.abs(known_ns[rows] - right_ns) > OUT_OF_ORDER_NS)
+        cut.at(known_ns, rows[far], right_ns[far])
+    return known_ns[1:] + np.cumsum(steps_ns), steps_ns
+
+
+def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
+    """The times set right, each from that of the frame before it on; and by how much each is a step back."""
+    moved_ns, steps_ns = set_right(t_ns, before_ns)
     return np.maximum.accumulate(moved_ns if before_ns is None else np.maximum(moved_ns, before_ns)), steps_ns

@@ -15,8 +15,8 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.log.candump import parse_block
-from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, read_lines, too_long
+from fsai_vcu.diagnostics.log.blocks import parse_block
+from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, too_long
 from fsai_vcu.diagnostics.log.formats import CANDUMP, Format, foreign_words, format_of
 from fsai_vcu.diagnostics.log.frames import Frames, Ints, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
@@ -88,13 +88,7 @@ class Log:
         channels: list[str] = []
         added = _AddedUp(self.problems) if self.kind not in _OF_KNOWN_TIMES else None
         for block in self._blocks(rows):
-            if self.kind == CANDUMP.name:
-                columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels, rows)
-            else:
-                lines = block.count(b"\n")
-                each = enumerate(block.replace(b"\r\n", b"\n").split(b"\n"))
-                singly, unreadable = read_lines(each, rows, "utf-8")
-                columns = frames_of(singly.values(), channels)
+            columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels, rows)
             for problem in unreadable:
                 self._unreadable(problem.line, problem.reason)
             self._lines += lines

@@ -7,7 +7,8 @@ raises ValueError where it cannot be read.
 from __future__ import annotations
 
 import re
-from typing import Final
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 from fsai_vcu.diagnostics.log.candump_line import (
     MAX_CLASSIC_DLC,
@@ -16,7 +17,7 @@ from fsai_vcu.diagnostics.log.candump_line import (
     MAX_SECONDS,
     MAX_STANDARD_ID,
 )
-from fsai_vcu.diagnostics.log.frames import LogFrame
+from fsai_vcu.diagnostics.log.frames import Ints, LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 
 FD_BYTES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -43,11 +44,49 @@ _TWO_DIGITS = re.compile(r"(?:[0-9A-Fa-f]{2}(?: |$))*")
 _NUMBERS = re.compile(r"(?:[0-9A-Fa-f]{1,3}(?: |$))*")
 
 
+class Pattern(NamedTuple):
+    """The head of most rows of a file, up to the data bytes: rows alike are read together (blocks.py).
+
+    expression: its groups are `id`; `time` and `decimals`, in units of `unit_ns` since `begin_ns`; `number`, of the
+    row; `length`, of the data, of which each byte then follows a space (without it the bytes follow each other);
+    `way`. channel, wide: its bus, and whether its identifier has 29 bits. marked: such a one may say of itself that it
+    is an error frame. tail: what may stand behind the data beside spaces; None: nothing may.
+    """
+
+    expression: re.Pattern[bytes]
+    channel: Callable[[re.Match[bytes]], str]
+    wide: Callable[[re.Match[bytes]], bool]
+    unit_ns: int = 1_000_000_000
+    begin_ns: int = 0
+    marked: bool = False
+    tail: bytes | None = b""
+
+
 class Rows:
     """Reads the rows of one file; `told` gets what is said beside the frames."""
 
+    encoding = "utf-8"
+
     def __init__(self, told: Problems) -> None:
         self.told = told
+
+    def pattern(self) -> Pattern | None:
+        """How most rows are read, by what is known so far; None: one by one. What it takes, a call takes for the same.
+
+        It is asked for again where `state` has changed.
+        """
+        return None
+
+    def state(self) -> object:
+        """What the rows so far have told of how the following ones are read."""
+        return None
+
+    def times(self) -> Callable[[Ints], Ints] | None:
+        """Makes the times of the following frames, up to where `state` changes, from what their rows say; None: as is.
+
+        It is asked for before those rows are read, and called after them.
+        """
+        return None
 
     def __call__(self, line: str) -> LogFrame | None:
         """The frame on a line, None where there is none to be. Raises ValueError."""

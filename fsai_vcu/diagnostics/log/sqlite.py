@@ -1,8 +1,9 @@
-"""python-can's SQLite database of frames."""
+"""Databases of SQLite with frames: python-can's, and bags of ROS 2 with can_msgs/Frame."""
 
 from __future__ import annotations
 
 import sqlite3
+import struct
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,6 +17,11 @@ from fsai_vcu.diagnostics.log.rows import frame_of
 MAGIC: Final = b"SQLite format 3\0"
 _BATCH: Final = 10_000
 _STEPS: Final = 100_000_000  # of SQLite's machine for a batch: a query that goes round in circles is given up
+_BAG: Final = (
+    "SELECT messages.timestamp, messages.data, topics.name FROM messages LEFT JOIN topics"
+    " ON messages.topic_id = topics.id WHERE topics.type = 'can_msgs/msg/Frame' OR topics.type IS NULL"
+    " ORDER BY messages.rowid"
+)
 _QUERY: Final = "SELECT ts, arbitration_id, extended, remote, error, dlc, data FROM messages"
 
 
@@ -25,23 +31,24 @@ def read_sqlite(path: Path, told: Problems, name: str) -> Iterator[Frames]:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
             tables = {row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-            if "messages" not in tables or "topics" in tables:
-                kind = (
-                    "of a ROS 2 bag: convert it with ros2 bag convert, or record the bus" if "topics" in tables else ""
-                )
-                raise ReadingEnds(f"an SQLite database {kind or 'without the messages of python-can'}")
+            if "messages" not in tables:
+                raise ReadingEnds("an SQLite database without the messages of python-can or of a ROS 2 bag")
+            bag = "topics" in tables
             database.set_progress_handler(lambda: 1, _STEPS)
-            rows = database.execute(_QUERY)
+            rows = database.execute(_BAG if bag else _QUERY)
+            read = _bag_frame if bag else _frame
             before = 0
             while batch := rows.fetchmany(_BATCH):
                 frames: list[LogFrame] = []
                 for number, row in enumerate(batch, before + 1):
                     try:
-                        frames.append(_frame(*row))
-                    except (ValueError, TypeError, OverflowError) as error:
+                        frames.append(read(*row))
+                    except (ValueError, TypeError, OverflowError, struct.error) as error:
                         told.add(f"{name}: row {number} is left out: {' '.join(str(error).split())[:200]}")
                 before += len(batch)
                 yield frames_of(frames, channels)
+            if bag and not before:
+                raise ReadingEnds("a bag of ROS 2 without a topic of can_msgs/Frame: record the bus itself")
     except (sqlite3.Error, OSError) as error:
         raise ReadingEnds(" ".join(str(error).split())[:200]) from None
 
@@ -58,4 +65,24 @@ def _frame(
     return frame_of(
         t_ns, "can0", f"{can_id:X}", payload, int(dlc) if remote else len(payload),
         extended=bool(extended), remote=bool(remote), fd=len(payload) > 8,
+    )  # fmt: skip
+
+
+def _bag_frame(bag_ns: int, data: bytes, topic: str | None) -> LogFrame:
+    """A can_msgs/Frame as CDR: header (stamp, frame_id), id, three flags, DLC, eight bytes of data."""
+    if topic is None:
+        raise ValueError("it is of no topic")
+    order = "<" if data[1:2] == b"\x01" else ">"
+    body = data[4:]
+    seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", body)
+    at = 12 + length + -length % 4
+    can_id, remote, extended, error, dlc = struct.unpack_from(f"{order}IBBBB", body, at)
+    payload = bytes(body[at + 8 : at + 16])
+    t_ns = seconds * 1_000_000_000 + nanoseconds or bag_ns
+    if error:
+        frame_of(t_ns, topic, "0", b"")  # a time that can be
+        return LogFrame(t_ns, topic, can_id & 0x1FFF_FFFF, payload, error=True)
+    return frame_of(
+        t_ns, topic, f"{can_id & 0x1FFF_FFFF:X}", payload[: dlc if not remote else 0], dlc,
+        extended=bool(extended), remote=bool(remote),
     )  # fmt: skip

@@ -1,10 +1,12 @@
-"""PEAK's text format TRC, versions 1.0 to 2.1: comments that name version, start and columns, then numbered rows."""
+"""PEAK's text format TRC, versions 1.0 to 3.0: comments that name version, start and columns, then numbered rows."""
 
 from __future__ import annotations
 
 import re
+from functools import cache
 from typing import Final
 
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.rows import (
@@ -19,6 +21,7 @@ from fsai_vcu.diagnostics.log.rows import (
     STUFFING,
     WARNING,
     WAYS,
+    Pattern,
     Rows,
     bytes_of,
     error_frame,
@@ -30,9 +33,25 @@ from fsai_vcu.interface.units import MS
 HEAD: Final = re.compile(r";\$FILEVERSION=|;#{14}|\d+\)\s+\d+(\.\d+)?\s", re.IGNORECASE)
 """A line that tells this format."""
 
-_OLDEST, _NEWEST = (1, 0), (2, 1)
+# Of most rows: by the letter of their column in versions 2 and 3, and in the order of each version 1.
+_ROW: Final = {
+    "N": rb" *(?P<number>\d{1,9})",
+    "O": rb"(?P<time>\d{1,12})(?:\.(?P<decimals>\d{1,6}))?",
+    "T": rb"DT",
+    "B": rb"(?P<channel>\d{1,3})",
+    "I": rb"(?P<id>[0-9A-Fa-f]{1,8})",
+    "d": rb"(?P<way>[RT])x",
+    **dict.fromkeys("RVSArs", rb"-"),
+    **dict.fromkeys("Ll", rb"(?P<length>[0-8])"),
+    "D": rb"(?: *(?= [0-9A-Fa-f]{2})|)",  # the spaces before the one with which each byte begins
+    ")": rb" *(?P<number>\d{1,9})\)",
+}
+_VERSIONS_1: Final = {(1, 0): ")OILD", (1, 1): ")OdILD", (1, 2): ")OBdILD", (1, 3): ")OBdIRLD"}
+
+_OLDEST, _NEWEST = (1, 0), (3, 0)
 _DAYS_TO_1970: Final = 25569  # from 1899-12-30
 _DAY_NS: Final = 86_400_000_000_000
+_LATEST_NS: Final = MAX_SECONDS * 1_000_000_000
 _COLUMNS: Final = {(2, 0): "NOTIdlD", (2, 1): "NOTBIdRLD"}
 _FD: Final = {"FD": (False, False), "FB": (True, False), "FE": (False, True), "BI": (True, True)}  # BRS, ESI
 _STATES: Final = (
@@ -52,6 +71,15 @@ class TrcRows(Rows):
         self._version = (1, 0)
         self._start_ns = 0
         self._columns = ""
+
+    def pattern(self) -> Pattern | None:
+        expression = _expression(_VERSIONS_1.get(self._version, self._columns))
+        if expression is None or not _OLDEST <= self._version <= _NEWEST or self._start_ns > _LATEST_NS:
+            return None
+        return Pattern(expression, _channel_of, lambda found: len(found["id"]) > 4, MS, self._start_ns)
+
+    def state(self) -> object:
+        return self._version, self._start_ns, self._columns
 
     def __call__(self, line: str) -> LogFrame | None:
         text = line.strip()
@@ -127,6 +155,9 @@ class TrcRows(Rows):
             channel = _channel(words[columns.index("B")])
         if kind in ("ER", "ST", "EC", "EV"):
             return self._event(t_ns, channel, kind, words[at + 1 :])
+        if kind == "XL":
+            self.told.note("a row of type XL, which is no frame of CAN or CAN FD")
+            return None
         if kind not in ("DT", "RR", *_FD):
             raise ValueError(f"no row of TRC's: {kind[:20]}")
         if len(words) < len(columns) - 1:
@@ -176,6 +207,20 @@ class TrcRows(Rows):
         return frame_of(
             t_ns, channel, id_text, data, length, extended=extended, remote=remote, fd=fd, brs=brs, esi=esi, sent=sent
         )
+
+
+@cache
+def _expression(columns: str) -> re.Pattern[bytes] | None:
+    """Of rows with these columns; None where they are to be read one by one."""
+    if not columns.endswith("D") or len(set(columns)) < len(columns) or not {"O", "I"} <= set(columns) <= set(_ROW):
+        return None
+    if len({"L", "l"} & set(columns)) != 1 or columns[-2] not in "Ll":
+        return None
+    return re.compile(b" +".join(_ROW[column] for column in columns[:-1]) + _ROW["D"])
+
+
+def _channel_of(found: re.Match[bytes]) -> str:
+    return _channel(found["channel"].decode()) if "channel" in found.re.groupindex else "can1"
 
 
 def _number(text: str, base: int = 10) -> int:

@@ -18,7 +18,7 @@ from msgspec import structs
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
-from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints, straightened
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints, set_right
 from fsai_vcu.diagnostics.statistics.echoes import EchoFault, echoes_of
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.diagnostics.statistics.wire_bits import AT_ONCE, Halves, wire_bits
@@ -183,7 +183,7 @@ def _measure_channel(
     backwards, backwards_at_s = 0, None
     if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
         back = np.flatnonzero(frames.t_ns[1:] < frames.t_ns[:-1] - MS)  # less is two frames stamped on two processors
-        frames = frames.at(frames.t_ns + np.cumsum(straightened(frames.t_ns)[1]))  # the steps of a clock that was set
+        frames = frames.at(set_right(frames.t_ns)[0])
         if len(back):
             backwards, backwards_at_s = len(back), int(frames.t_ns[back[0]]) / S
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))

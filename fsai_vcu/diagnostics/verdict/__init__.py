@@ -47,6 +47,7 @@ from fsai_vcu.diagnostics.statistics.measure import (
 )
 from fsai_vcu.diagnostics.verdict.ai_side import mistakes
 from fsai_vcu.diagnostics.verdict.of_bus import judge
+from fsai_vcu.diagnostics.verdict.own_faults import by_times, impossible, moved_back, steps_forward, twice
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -180,18 +181,39 @@ def judged(
     """
     part = part or Part()
     frames = part.always().of(frames)
+    notes: list[Finding] = []
+    copies = twice(frames)
+    if copies is not None:
+        frames = frames.only(~copies.copies)
+        notes += [Finding("note", "twice", copies.words)] if copies.sure else []
     record = whole = Record(frames, revision, databases)
+    steps = steps_forward(whole, straightened(frames.t_ns)[0])
+    whole.perhaps_set = tuple(step.t_ns for step in steps if not step.proven)
+    steps = [step for step in steps if step.proven]
+    if steps:
+        frames, perhaps_set = frames.at(moved_back(frames.t_ns, steps)), whole.perhaps_set
+        record = whole = Record(frames, whole.revision.name, databases)
+        whole.perhaps_set = perhaps_set
+        whole.clock_set += [(step.t_ns, step.by_ns) for step in steps]
     whole.begin_ns = whole.begin_ns if begin_ns is None else begin_ns
     part_ns = part.bounds(whole.begin_ns)
+    notes += [step.finding(whole.channel) for step in steps if part_ns[0] <= step.t_ns <= part_ns[1]]
     if part_ns != ALWAYS:
         t_ns, back_ns = straightened(frames.t_ns)
         inside = (t_ns >= part_ns[0]) & (t_ns <= part_ns[1])
         set_back_ns = int(back_ns[: inside.argmax()].sum())  # before the part: it has the times of the whole
         frames = frames.at(frames.t_ns + set_back_ns).only(inside)
         record = Record(frames, whole.revision.name, databases)
+        record.perhaps_set = whole.perhaps_set
     buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate)
     buses = [_with_gaps_before(bus, whole, part_ns) if bus.channel == whole.channel else bus for bus in buses]
-    return Judged(record, buses, _verdict(whole, part_ns, record, buses))
+    verdict = _verdict(whole, part_ns, record, buses)
+    unknown = [words for words in (impossible(buses),) if words]
+    findings = [one for one in verdict.findings if not (unknown and by_times(one))]
+    findings = sorted([*findings, *notes], key=lambda one: (one.severity != "problem", one.t_ns or 0))
+    unknown += [copies.words] if copies is not None and not copies.sure else []
+    verdict = replace(verdict, findings=tuple(findings), unknown=(*unknown, *verdict.unknown))
+    return Judged(record, buses, verdict)
 
 
 def _with_gaps_before(bus: BusStatistics, whole: Record, part_ns: TimeRange) -> BusStatistics:
@@ -403,6 +425,8 @@ def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
             else:
                 begin_ns = max(begin for begin, _ in spans)
             text = f"a pause of {shared_ns / MS:.0f} ms of {_whose(ids, len(bus.messages))}"
+            if record.perhaps_set_at((begin_ns or 0) + shared_ns):
+                text += ", or the log's clock was set forward"
             if len(ids) == len(bus.messages):
                 if errors is not None and 0 <= (errors.t_ns or 0) - (begin_ns or 0) <= shared_ns:
                     worst, text, errors = errors, f"{text.partition(':')[0]}, and {errors.words}", None

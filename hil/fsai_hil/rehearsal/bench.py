@@ -245,6 +245,32 @@ def bench_logs(effort: Effort) -> list[Row]:
             rows += bench_log(kind, frames, folder, effort.log_rounds)
             if kind == "random":
                 rows.append(bench_mf4(frames, folder / "whole.mf4", effort))
+                rows += bench_readers(frames.head(_PEER_FRAMES), folder, effort)
+    return rows
+
+
+def bench_readers(frames: Frames, folder: Path, effort: Effort) -> list[Row]:
+    """Logs as python-can writes them to columns, beside python-can's own readers."""
+    rows = []
+    once = effort._replace(rounds=max(3, effort.log_rounds), turns=1)
+    for kind in ("log", "asc", "trc", "blf"):
+        path = folder / f"part-by-python-can.{kind}"
+        with can.Logger(path) as writer:
+            for frame in frames:
+                message = can.Message(frame.t_ns / S, frame.can_id, frame.extended, data=frame.data, channel=0)
+                writer.on_message_received(message)
+
+        def read(path: Path = path) -> int:
+            with open_log(path) as log:
+                return sum(map(len, log.chunks()))
+
+        def read_by_python_can(path: Path = path) -> int:
+            with can.LogReader(path) as reader:
+                return sum(1 for _ in reader)
+
+        assert read() == read_by_python_can() == len(frames), f"{kind}: not every frame is read"
+        words, scale = (f"read {kind}", "us/frame", "python-can"), 1e6 / len(frames)
+        rows.append(compared(*words, ours=read, peer=read_by_python_can, effort=once, scale=scale))
     return rows
 
 

@@ -22,7 +22,7 @@ from fsai_nodes.config_arguments import Configured
 from fsai_nodes.executor import NodeExecutor
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.runtime.notify import Notifier
-from fsai_vcu.runtime.transport import set_transport
+from fsai_vcu.runtime.transport import ros_trouble, set_transport
 
 _STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
@@ -39,6 +39,8 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     try:
         configured = Configured(sys.argv if arguments is None else arguments, name)
         transport = set_transport(os.environ)
+        if trouble := ros_trouble(os.environ):
+            raise NodeError(f"ROS 2 does not start: {trouble}")
         no_files = log_trouble(os.environ) if configured.writes_logs else ""
         quiet = ["--ros-args", "--disable-external-lib-logs", "--"] if no_files else []
         rclpy.init(args=[*configured.arguments, *quiet], signal_handler_options=SignalHandlerOptions.NO)
