@@ -257,7 +257,7 @@ def test_each_manner_of_candump_is_understood(line: str, expected: LogFrame) -> 
             lambda t_us, channel, extended, can_id, data, sent: LogFrame(
                 t_us * 1000, channel, can_id % (0x2000_0000 if extended else 0x800), data, extended, sent=sent
             ),
-            t_us=st.integers(0, 9_223_372_035_000_000),
+            t_us=st.integers(86_400_000_000, 9_223_372_035_000_000),  # short ones may be differences
             channel=st.sampled_from(["can0", "vcan12", "c", "slcan-with-a-15"]),
             extended=st.booleans(),
             can_id=st.integers(0, 0x1FFF_FFFF),
