@@ -41,6 +41,7 @@ LOG_HELP: Final = (
 )
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})
+_BESIDE: Final = frozenset({".json", ".png", ".svg", ".html"})
 _MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".db3", ".sqlite"})  # their content tells
 _PROBLEMS_SHOWN = 5
 _PROGRESS_S = 1.0
@@ -525,11 +526,16 @@ def _unfolded(name: str, left_out: list[Path]) -> list[str]:
         return [name]
     files = sorted(path for path in Path(folder).iterdir() if path.is_file())
     logs = [path for path in files if _log_like(path)]
-    left_out += [path for path in files if path not in logs]
+    left_out += [path for path in files if path not in logs and not _beside_logs(path)]
     logs.sort(key=_first_stamp)
     if not logs:
         raise UserError(f"{folder}: no log in this folder")
     return [f"{path},{filters}" if filters else str(path) for path in logs]
+
+
+def _beside_logs(path: Path) -> bool:
+    """What a recording or a drive leaves beside its log, and nobody takes for one."""
+    return path.name.startswith(".") or path.suffix.lower() in _BESIDE
 
 
 def _log_like(path: Path) -> bool:

@@ -757,7 +757,8 @@ def test_check_of_a_folder_is_a_line_for_each_log_and_a_verdict(
     (tmp_path / "a.log").write_text(candump())
     (tmp_path / "b.blf").write_bytes(blf(closed=False))
     (tmp_path / "c.trc").write_text("")
-    (tmp_path / "notes.md").write_text("what we did")
+    for name in ("notes.md", ".a.lock", "a.json", "run.png"):  # all but the first are what a recording leaves
+        (tmp_path / name).write_text("what we did")
     assert main(["check", str(tmp_path)]) == 1
     said = capsys.readouterr()
     of_logs = {
@@ -767,7 +768,7 @@ def test_check_of_a_folder_is_a_line_for_each_log_and_a_verdict(
     assert of_logs["a.log"][0].endswith("a.log: candump, 24 frames")
     assert "BLF, 24 frames; not readable as BLF after frame 24: its logger did not close it" in of_logs["b.blf"][0]
     assert of_logs["c.trc"][0].endswith("c.trc: no frames in it")
-    assert "no logs, and left out: notes.md" in said.out
+    assert "no logs, and left out: notes.md\n" in said.out
     assert sum(line.startswith("verdict: ") for line in said.out.splitlines()) == 1
     main(["check", str(tmp_path), "--json"])
     assert capsys.readouterr().out.count('"type": "log"') == 3
