@@ -32,7 +32,6 @@ from fsai_vcu.interface.units import MS, S, ms
 
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # messages that stop within this time stop together
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 LOOK_BACK_NS: Final = 2 * S
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle

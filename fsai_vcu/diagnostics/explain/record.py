@@ -26,7 +26,7 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straighte
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS, first_echoes
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_cars, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
-from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.enums import OFF_LIKE, AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -34,6 +34,8 @@ from fsai_vcu.interface.units import MS, S, ms
 
 Values = npt.NDArray[np.float64]
 
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
+REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 _own_databases: Final = cache(load_databases)
@@ -184,6 +186,34 @@ class Gap(NamedTuple):
         return f"to the end of the log ({ms(self.length_ns)})" if self.end_ns is None else f"for {ms(self.length_ns)}"
 
 
+class WrongLengths(NamedTuple):
+    """Frames of one message that have another length than the message, which counts as if they did not come."""
+
+    count: int
+    first_ns: int
+    lengths: tuple[int, ...]
+    right: int
+
+    @property
+    def words(self) -> str:
+        """How long they are, and how long they should be."""
+        return f"{' or '.join(map(str, self.lengths))} bytes, and must have {self.right}"
+
+
+class PowerCycle(NamedTuple):
+    """The car was switched off after its last 0x520 at `begin_ns`, and on again before the first one at `end_ns`."""
+
+    begin_ns: int
+    end_ns: int
+    before: float
+    after: float
+
+    @property
+    def words(self) -> str:
+        states = " and ".join(sig.label(sig.AS_STATE, state) for state in (self.before, self.after))
+        return f"the car was switched off and on: no 0x520 for {ms(self.end_ns - self.begin_ns)} between {states}"
+
+
 class Answers(NamedTuple):
     """Toggles of the VCU's handshake as columns. waited_ns: until the AI computer's echo, or else the log's end."""
 
@@ -206,7 +236,7 @@ class Record:
     """The frames of one car's bus, by message and signal.
 
     frames: of the one bus that has the car's messages, with the monotonic times; error_ns: when an error frame came.
-    wrong_length: how often a message came so, and when first. set_back: where the log's clock was, and by how much.
+    wrong_length: of each message that came so. set_back: where the log's clock was, and by how much.
     """
 
     def __init__(self, frames: Frames, revision: str | None = None, databases: Databases | None = None) -> None:
@@ -230,7 +260,7 @@ class Record:
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
         self.decoder = Decoder(databases or _own_databases(revision=self.revision.name))
-        self.wrong_length: dict[int, tuple[int, int]] = {}
+        self.wrong_length: dict[int, WrongLengths] = {}
         self.unknown_ids: Counter[int] = Counter()
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
         self._tables: dict[str, MessageTable] = {}
@@ -244,7 +274,10 @@ class Record:
             right = self.frames.length[rows] == layout.length
             if not right.all():
                 strange = rows[~right]
-                self.wrong_length[layout.can_id] = (len(strange), int(self.frames.t_ns[strange[0]]))
+                lengths = tuple(np.unique(self.frames.length[strange]).tolist())
+                self.wrong_length[layout.can_id] = WrongLengths(
+                    len(strange), int(self.frames.t_ns[strange[0]]), lengths, layout.length
+                )
             if right.any():
                 self._rows[layout.key] = rows[right]
 
@@ -381,6 +414,28 @@ class Record:
         ends: list[int | None] = times[found[found + 1 < len(times)] + 1].tolist()
         ends += [None] * (len(found) - len(ends))
         return list(map(Gap, repeat(can_id), times[found].tolist(), ends, waits[found].tolist()))
+
+    @cached_property
+    def power_cycles(self) -> Sequence[PowerCycle]:
+        """Where the car was switched off and on, before or after its runs: in time with its orders, and no fault.
+
+        It comes back in AS_INIT or AS_OFF, and what it counts begins anew. One that was about to drive, or is back
+        within 3 s with its switches on, restarted by itself.
+        """
+        found = []
+        for gap in self.gaps(sig.STATUS, GONE_NS):
+            before, after = (self.at(sig.AS_STATE, t_ns) for t_ns in (gap.begin_ns, gap.over_ns))
+            if gap.end_ns is None or before is None or after is None or before in (sig.READY, sig.DRIVING):
+                continue
+            switched = any(self.at(signal, gap.end_ns) for signal in (sig.AS_SWITCH, sig.TS_SWITCH))
+            anew = after == AsState.AS_INIT != before or self._counts_anew(gap.begin_ns, gap.end_ns)
+            if after in OFF_LIKE and anew and (gap.length_ns >= REBOOT_NS or not switched):
+                found.append(PowerCycle(gap.begin_ns, gap.end_ns, before, after))
+        return tuple(found)
+
+    def _counts_anew(self, begin_ns: int, end_ns: int) -> bool:
+        counts = [(self.at(signal, begin_ns), self.at(signal, end_ns + DEAD_NS)) for signal in sig.PULSES]
+        return any(before for before, _ in counts) and not any(after for _, after in counts)
 
     @cached_property
     def silences(self) -> Sequence[tuple[int, int]]:
