@@ -484,7 +484,7 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if span.before is not None else []
     if wheels.max() < STANDING_RPM and span.before is not None:
         candidates += _start_was_wrong(record, span)
-    if stand is not None:
+    if stand is not None and not stand.driven:
         candidates += causes(record, stand)
     elif (
         wheels.max() < STANDING_RPM

@@ -291,6 +291,10 @@ class Record:
         """Whether no whole frame of that message came; one that the database does not name did come."""
         return not self.has(can_id) and can_id not in self.unknown_ids
 
+    def never_right(self, can_id: int) -> bool:
+        """Whether that message came, and always with a wrong length."""
+        return can_id in self.wrong_length and not self.has(can_id)
+
     @property
     def ai_speaks(self) -> bool:
         """Whether the log has any whole message of the AI computer."""
