@@ -149,10 +149,12 @@ def unmet(state: AsState, record: Record, t_ns: int) -> list[Candidate]:
     for condition, source, evidence, follows in conditions_unmet(moment(record, t_ns), state):
         signal = _SIGNALS.get(source)
         span = None if signal is None else record.span_at(signal, t_ns)
-        if signal is not None and span is not None:
-            step: ChainLink | None = signal.step(span.begin_ns, evidence)
-        else:
+        if signal is None:
             step = _HISTORY[condition.slug](record, t_ns)
+        elif span is None:
+            continue  # of a message that never came, whose values nobody has said
+        else:
+            step = signal.step(span.begin_ns, evidence, signal.was(span.value, span.begin_ns, t_ns))
         assert step is not None
         sureness = Sureness.FITS if follows else Sureness.SHOWN
         more = accumulators(record, t_ns) if condition.slug == "ebs_not_armed" else []

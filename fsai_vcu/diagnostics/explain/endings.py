@@ -185,9 +185,12 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
     if ami == Ami.STATIC_INSPECTION_B or (ami == Ami.AUTONOMOUS_DEMO and moved):
         mission = sig.AMI.step(drive_ns, f"the mission is {label(sig.AMI, ami)}")
         return [candidate("planned_end", sureness, mission, request)]
-    left = gap_at(record, sig.ESTOP.can_id, first.begin_ns + BEHIND_NS, COMMS_LOST_NS)
-    ended = left is not None and left.begin_ns - first.begin_ns <= BEHIND_NS and left.end_ns is None
-    quiet = [ChainLink(left.begin_ns, f"its last 0x510: it falls silent {left.words()}", 0x510)] if ended and left else []
+    silent = [gap for gap in record.gaps(sig.ESTOP.can_id, COMMS_LOST_NS) if gap.begin_ns >= first.begin_ns]
+    quiet = [
+        ChainLink(gap.begin_ns, f"its last 0x510: it falls silent {gap.words()}", 0x510)
+        for gap in silent[:1]
+        if gap.begin_ns - first.begin_ns <= BEHIND_NS
+    ]
     return [
         candidate("not_on_the_bus", sureness, request, *quiet),
         candidate(slug, Sureness.FITS, request),
@@ -406,7 +409,7 @@ def restarted(record: Record, gap: Gap, behind: str = "") -> Candidate:
         for other in record.gaps(sig.STATUS, SILENT_NS)
         if other.begin_ns > gap.begin_ns and other.end_ns is not None and record.at(sig.AS_STATE, other.end_ns) in OFF_LIKE
     ]
-    again = f"; {len(others)} more such silences follow" if others else ""
+    again = f", the first of {len(others) + 1} such silences" if others else ""
     words = f"the last 0x520 before {ms(gap.length_ns)} of silence{behind}{again}"
     step = ChainLink(gap.begin_ns, words, sig.STATUS)
     return shown("vcu_reboot" if gap.length_ns < REBOOT_NS else "power_off", *sag(record, gap), step)

@@ -127,13 +127,16 @@ def _silent(record: Record, t_ns: int, gaps: list[Gap], sureness: Sureness) -> C
     if record.at(sig.ESTOP, first):
         steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped on purpose"))
     # An adapter that goes bus-off silences a program that runs on; the others go on.
-    off = any("bus-off" in error_text(record, t_error_ns) for t_error_ns in errors)
-    if off:
-        heard = record.times(sig.STATUS)
-        count = int(np.searchsorted(heard, t_ns, side="right") - np.searchsorted(heard, first))
-        steps.append(ChainLink(first, f"0x520 goes on: {count} come meanwhile, so the bus itself is alive", sig.STATUS))
-        return candidate("ai_bus_off" if count else "bus_lost", sureness, *steps[: None if count else -1])
-    return candidate("ai_silent", sureness, *steps)
+    off_ns = next((t_error_ns for t_error_ns in errors if "bus-off" in error_text(record, t_error_ns)), None)
+    if off_ns is None:
+        return candidate("ai_silent", sureness, *steps)
+    steps.append(ChainLink(off_ns, f"an error frame: {error_text(record, off_ns)}"))
+    heard = record.times(sig.STATUS)
+    count = int(np.searchsorted(heard, t_ns, side="right") - np.searchsorted(heard, first))
+    if not count:
+        return candidate("bus_lost", sureness, *steps)
+    goes_on = ChainLink(first, f"0x520 goes on: {count} come meanwhile, so the bus itself is alive", sig.STATUS)
+    return candidate("ai_bus_off", sureness, *steps, goes_on)
 
 
 def _handshake(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:

@@ -7,6 +7,7 @@ cause. Whatever the reason, it is one: a car that stands in AS_DRIVING is never 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -106,7 +107,9 @@ def causes(record: Record, stand: Stand) -> list[Candidate]:
     seen = _Seen(record, stand)
     length = ms(stand.end_ns - stand.begin_ns)
     missing = [one for one in unmet(AsState.AS_DRIVING, record, stand.end_ns) if one.sureness >= Sureness.SHOWN]
-    found = [*missing, *_not_let(seen), *_not_asked(seen)]
+    found = [*missing, *_not_let(seen)]
+    # An AI computer whose car allows no torque, or is held, asks for none.
+    found += [replace(one, sureness=Sureness.FITS) if found else one for one in _not_asked(seen)]
     if found:
         return found
     words = f"no wheel turns for {length}, and no frame says why"
@@ -190,7 +193,7 @@ def stands(record: Record, span: Span) -> Iterator[Incident]:
     stand = stood(record, span.begin_ns, last_ns(span))
     if stand is None or any(one.begin_ns < stand.end_ns and one.end_ns > stand.begin_ns for one in record.frozen):
         return
-    after = ", after it drove" if stand.driven else ""
-    what = f"the car stands in AS_DRIVING for {ms(stand.end_ns - stand.begin_ns)}{after}"
     found = tuple(causes(record, stand))
+    after = ", after it drove" if stand.driven else ""
+    what = f"the car stands in AS_DRIVING for {ms(stand.end_ns - stand.begin_ns)}{after} ({found[0].steps[0].words})"
     yield Incident(IncidentKind.STAND, stand.begin_ns, what, found, lasted=(stand.begin_ns, stand.end_ns))

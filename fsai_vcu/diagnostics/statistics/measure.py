@@ -384,6 +384,8 @@ def handshake_of(frames: Frames, decoder: Decoder, off_ns: Sequence[tuple[int, i
     alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < COMMS_LOST_NS)
     for since_ns, until_ns in off_ns:
         alive &= (asked_ns[toggles] < since_ns - COMMS_LOST_NS) | (asked_ns[toggles] >= until_ns)
+    spoken = np.searchsorted(answer_ns, asked_ns[toggles] + COMMS_LOST_NS) - np.maximum(before + 1, 0)
+    alive &= (spoken > 0) | (asked_ns[toggles] + COMMS_LOST_NS > asked_ns[-1])  # who falls silent misses no echo
     toggles, next_ns = toggles[alive], next_ns[alive]
     toggle_ns, toggle_bits = asked_ns[toggles], asked_bits[toggles]
     first_ns = first_echoes(toggle_ns, toggle_bits, answer_ns, answer_bits)

@@ -8,18 +8,19 @@ verdict.status, verdict.line()                # 0 only where everything is known
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import groupby, islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from fsai_vcu.core.supervision.start_conditions import Obstacle
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import told_revision
-from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
+from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, explained
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
-from fsai_vcu.diagnostics.explain.incident import ALWAYS, TimeRange, within
+from fsai_vcu.diagnostics.explain.incident import ALWAYS, Candidate, Sureness, TimeRange, within
 from fsai_vcu.diagnostics.explain.record import REBOOT_NS, Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
@@ -57,7 +58,13 @@ FEW_PULSES: Final = 10
 OUT_OF_ORDER_NS: Final = 2 * PERIOD_NS
 LOW_SHARE: Final = 0.5  # of the most that TRQ_MAX was in AS_DRIVING
 UNREAD: Final = "not everything could be read"
-SAID_BY: Final = dict.fromkeys(("one-call", "torque-brake"), ("torque_with_brake",))  # a mistake, by a cause
+# A mistake, or what is noted in passing: said by one of these causes.
+SAID_BY: Final[Mapping[str, tuple[str, ...]]] = {
+    "one-call": ("torque_with_brake",),
+    "torque-brake": ("torque_with_brake",),
+    "torque-limit": ("torque_limit_zero", "derated", "derated_hot", "derated_empty"),
+    "warning": ("derated_hot", "derated_empty"),
+}
 # in which a handshake is lost too
 NO_ECHO: Final = frozenset({"ai_silent", "ai_bus_off", "bus_lost", "handshake_lost", "echo_wrong", "vcu_hung"})
 SHORT_NS: Final = 1 * S
@@ -216,14 +223,15 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
     # A second sender that is an incident's cause is told by it.
     causes = [incident.candidates[0] for incident in explanation.incidents]
-    told = {(step.can_id, step.t_ns) for cause in causes for step in cause.steps}
+    told = _told(explanation)
     others = [other for other in (*senders, *cars) if (other.can_ids[0], other.begin_ns) not in told]
     findings += [_of_second(other, whole.channel) for other in others]
     for bus in buses:
         findings += judge(bus, _known(bus, whole, record, explanation, senders, cars))
     if not cars:
-        findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
         blamed = {cause.slug for cause in causes}
+        findings += [one for one in _in_passing(whole, part_ns) if blamed.isdisjoint(SAID_BY.get(one.kind, ()))]
+        findings += _frozen(whole, part_ns, explanation)
         findings += [one for one in mistakes(whole, part_ns) if blamed.isdisjoint((one.kind, *SAID_BY.get(one.kind, ())))]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     unknown = (*_unknown(record), *_perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
@@ -246,7 +254,7 @@ def _known(
     """What the explanation says of a bus already."""
     own = bus.channel == record.channel
     causes = [incident.candidates[0] for incident in explanation.incidents]
-    told = {(step.can_id, step.t_ns) for cause in causes for step in cause.steps}
+    told = _told(explanation)
     shared = {can_id for other in senders for can_id in other.can_ids} | (set(VCU_IDS) if cars else set())
     absent = set() if record.ai_speaks else set(AI_IDS)
     if not record.has(STATUS):
@@ -255,7 +263,7 @@ def _known(
         step.can_id
         for cause in causes
         for step in cause.steps
-        if cause.slug == "ai_message_length" and step.can_id is not None
+        if cause.slug == "ai_message_length" and step.can_id is not None and not step.signal
     }
     state = record.series(AS_STATE)
     first_ns = int(record.error_ns[0]) if len(record.error_ns) else None
@@ -265,13 +273,19 @@ def _known(
         echoes=sum(cause.slug in NO_ECHO for cause in causes),
         mixed=bool(cars) and bus.channel == whole.channel,
         shared=frozenset(shared),
-        absent=frozenset(absent | lengths),
+        absent=frozenset(absent),
         errors_ns=first_ns,
         errors_told=own and bool(len(record.error_ns)) and _all_told(record, told),
         theirs=record.ai_is_theirs,
         active=bool(len(state)) and state.values[-1] in (READY, DRIVING),
         others=not own,
     )
+
+
+def _told(explanation: Explanation) -> set[tuple[int | None, int]]:
+    """(identifier, moment) of messages that the first causes name as missing or foreign, and of error frames."""
+    causes = [incident.candidates[0] for incident in explanation.incidents]
+    return {(step.can_id, step.t_ns) for cause in causes for step in cause.steps if not step.signal}
 
 
 def _all_told(record: Record, told: set[tuple[int | None, int]]) -> bool:
@@ -290,7 +304,7 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
         low = series.values <= (LOW_SHARE * most if kind == "torque-limit" else 0.0)
         spans = replace(series, values=low.astype(np.float64)).spans
         drives = [state.sampled(spans.begin_ns + later_ns) == DRIVING for later_ns in (0, COMMS_LOST_NS)]
-        rows = np.flatnonzero(np.logical_and.reduce([spans.values == 1, ~spans.apart[:-1], most > 0.0, *drives]))
+        rows = np.flatnonzero(np.logical_and.reduce([spans.values * most > 0.0, ~spans.apart[:-1], *drives]))
         falls = [*within(part_ns, (spans[row] for row in rows.tolist()))]
         for span in falls[:1]:
             least = series.between(span.begin_ns, max(span.begin_ns, span.end_ns - 1)).values.min()
@@ -352,12 +366,21 @@ def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
         )
 
 
+def _because(one: Candidate) -> str:
+    """The cause of a refusal, with what shows it, in the words of everybody who says why a car does not drive."""
+    return Obstacle(one.slug, one.cause.words, one.steps[0].words).sentence
+
+
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
+    # Of conditions that all have to be met, each that is not is named.
+    refused = incident.kind is IncidentKind.REFUSAL
+    each = [one for one in incident.candidates[1:] if refused and one.sureness >= Sureness.SHOWN]
+    named = dict.fromkeys(_because(one) if refused else one.cause.words for one in (first, *each))
     return Finding(
         "problem",
         incident.kind.slug,
-        f"{incident.what}, because {first.cause.words}",
+        f"{incident.what}, because {'; and '.join(named)}",
         first.cause.remedy,
         incident.t_ns,
         tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),

@@ -296,7 +296,9 @@ class _Judge:
         together: list[list[_Pause]] = []
         for pause in sorted(self._each_pause(), key=lambda pause: not pause.grave):
             can_id = pause.message.can_id
-            told = any(at == can_id and abs(t_ns - pause.begin_ns) <= AT_ONCE_NS for at, t_ns in self.known.told)
+            told = any(
+                can_id in _with(at) and abs(t_ns - pause.begin_ns) <= AT_ONCE_NS for at, t_ns in self.known.told
+            )
             if told or (not pause.grave and can_id in lossy):
                 continue
             group = next((group for group in together if group[0].same(pause)), None)
@@ -331,6 +333,20 @@ class _Judge:
             return finding
         both = f"{remedy_of('recorder')}; {remedy_of('bus_lost')}"
         return Finding(finding.severity, "gap", text, both, finding.t_ns, ids, finding.channel)
+
+
+class _AllBut(frozenset[int]):
+    """Every identifier but these."""
+
+    def __contains__(self, can_id: object) -> bool:
+        return not super().__contains__(can_id)
+
+
+def _with(can_id: int | None) -> frozenset[int]:
+    """The messages that are silent with the one that a cause names: a VCU's with its status, an AI computer's five."""
+    if can_id == STATUS:
+        return _AllBut(AI_IDS)
+    return frozenset(AI_IDS if can_id == AI_IDS[0] else () if can_id is None else (can_id,))
 
 
 def _shared(pause: list[_Pause]) -> tuple[int, int]:
