@@ -270,7 +270,7 @@ def _known(
     return Known(
         told=frozenset(told),
         lengths=frozenset(lengths),
-        echoes=sum(cause.slug in NO_ECHO for cause in causes),
+        echoes_ns=tuple(cause.t_ns for cause in causes if cause.slug in NO_ECHO),
         mixed=bool(cars) and bus.channel == whole.channel,
         shared=frozenset(shared),
         absent=frozenset(absent),

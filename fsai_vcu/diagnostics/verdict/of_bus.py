@@ -31,6 +31,7 @@ MANY: Final = 3
 MOST_NAMED: Final = 8
 LOSSY: Final = 5  # messages that miss frames again and again
 LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
+ECHO_NS: Final = 1 * S  # echoes that are missing so close to a cause are what it says
 WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
 
 
@@ -39,7 +40,7 @@ class Known:
     """What is known of a bus from its explanation.
 
     told: (identifier, moment) that a cause names as missing, foreign or an error; lengths: identifiers whose length one
-    names. echoes: causes that name a missing echo; mixed: two cars speak, so that no echo means anything. shared:
+    names. echoes_ns: moments of causes that name a missing echo; mixed: two cars speak, so that no echo means anything. shared:
     identifiers on which more than one sends; absent: those whose absence is said already. errors_ns: the first error
     frame. theirs: the AI computer's program is not this one. active: the car was about to drive when the log ended.
     others: it is another bus than the car's, which has other messages.
@@ -47,7 +48,7 @@ class Known:
 
     told: frozenset[tuple[int | None, int]] = frozenset()
     lengths: frozenset[int] = frozenset()
-    echoes: int = 0
+    echoes_ns: tuple[int, ...] = ()
     mixed: bool = False
     shared: frozenset[int] = frozenset()
     absent: frozenset[int] = frozenset()
@@ -111,7 +112,7 @@ class _Judge:
         if bus.frozen_counts:
             names = ", ".join(name for name, _, _ in bus.frozen_counts)
             _, since_s, for_s = max(bus.frozen_counts, key=lambda frozen: frozen[2])
-            text = f"{names} stood still for {for_s:.1f} s while its wheel and others turned"
+            text = f"{names} stood still for {for_s:.1f} s while its wheel turned"
             yield self._finding(True, "frozen", text, 0x526, since_s, "pulses_stand")
         yield from self._unknown()
         for message in bus.messages:
@@ -177,7 +178,9 @@ class _Judge:
             yield self._finding(False, "handshake", text, 0x510)
         lost = handshake.unanswered + handshake.above_100_ms
         if lost:
-            if lost <= self.known.echoes or self.known.mixed:
+            missed_ns = (handshake.missed_at_s or 0.0) * S
+            told = any(abs(missed_ns - t_ns) <= ECHO_NS for t_ns in self.known.echoes_ns)
+            if told or lost <= len(self.known.echoes_ns) or self.known.mixed:
                 return
             late = f"{handshake.above_100_ms} answered after {COMMS_LOST_NS // MS} ms or more"
             text = (
@@ -217,7 +220,7 @@ class _Judge:
         if expected_ms is None or p50_ms is None or message.longest_gap_ms is None:
             return
         supervised, lost_ms = _supervised(message, expected_ms)
-        if message.silent_ms >= lost_ms and can_id not in self.gone:
+        if message.silent_ms >= lost_ms and can_id not in self.gone and not self._is_told(can_id, message.last_s):
             text = f"{name} is silent for the last {message.silent_ms:.0f} ms"
             yield self._finding(supervised, "stopped", text, can_id, message.last_s)
         if can_id in self.known.shared:
@@ -296,10 +299,7 @@ class _Judge:
         together: list[list[_Pause]] = []
         for pause in sorted(self._each_pause(), key=lambda pause: not pause.grave):
             can_id = pause.message.can_id
-            told = any(
-                can_id in _with(at) and abs(t_ns - pause.begin_ns) <= AT_ONCE_NS for at, t_ns in self.known.told
-            )
-            if told or (not pause.grave and can_id in lossy):
+            if self._is_told(can_id, pause.begin_ns / S) or (not pause.grave and can_id in lossy):
                 continue
             group = next((group for group in together if group[0].same(pause)), None)
             if group is None:
@@ -307,6 +307,10 @@ class _Judge:
             else:
                 group.append(pause)
         return together
+
+    def _is_told(self, can_id: int, since_s: float) -> bool:
+        """Whether a cause names the message, or what is silent with it, as missing since then."""
+        return any(can_id in _with(at) and abs(t_ns - since_s * S) <= AT_ONCE_NS for at, t_ns in self.known.told)
 
     def _each_pause(self) -> Iterator[_Pause]:
         for message in self.bus.messages:

@@ -340,8 +340,8 @@ def stops(at: Moment, **bits: float) -> Act:
         **dict.fromkeys((sig.TORQUE_F, sig.TORQUE_R, sig.BRAKE_REQ_F, sig.BRAKE_REQ_R, sig.DIRECTION), 0.0),
         sig.MISSION_STATUS: float(MissionStatus.RUNNING),
     }
-    soon = Moment(at.state, at.seconds + 0.02)
-    return together(puts(car, at), *(held(count, at) for count in sig.PULSES), puts(asked, soon), only(BEGIN, end))
+    soon, stands = (Moment(at.state, at.seconds + later_s) for later_s in (0.02, STOPS_IN_S))
+    return together(puts(car, at), *(held(count, stands) for count in sig.PULSES), puts(asked, soon), only(BEGIN, end))
 
 
 def turned_away(at: Moment) -> Act:
@@ -372,17 +372,14 @@ def stays(state: AsState, seconds: float) -> Act:
 def never_moves(seconds: float = 10.0) -> Act:
     """In AS_DRIVING no wheel turns and no torque is measured; the log ends so many seconds after it began."""
     since = driving(0.0)
-    rests: dict[Signal, float | Changed] = dict.fromkeys((*sig.WHEELS, *sig.CAR_TORQUE, sig.BRAKE_F, sig.BRAKE_R), 0.0)
-    asked: dict[Signal, float | Changed] = {
-        **dict.fromkeys((sig.TORQUE_R, sig.BRAKE_REQ_F, sig.BRAKE_REQ_R), 0.0),
-        sig.SPEED_MAX_R: 3000.0,
-    }
-    start = driving(3.2)
+    rests: dict[Signal, float | Changed] = dict.fromkeys((*sig.WHEELS, *sig.CAR_TORQUE, sig.TORQUE_R), 0.0)
+    brakes: dict[Signal, float | Changed] = dict.fromkeys(
+        (sig.BRAKE_F, sig.BRAKE_R, sig.BRAKE_REQ_F, sig.BRAKE_REQ_R), 0.0
+    )
     return together(
         puts(rests, since),
         *(held(count, since) for count in sig.PULSES),
-        puts(asked, start),
-        put(sig.STATUS_BRK, 1.0),
+        puts({**brakes, sig.SPEED_MAX_R: 3000.0}, driving(3.2)),
         only(BEGIN, driving(seconds)),
     )
 

@@ -38,6 +38,9 @@ LINK: Final = frozenset(
         "ai_message_missing",
         "ai_message_length",
         "handshake_lost",
+        "handshake_stands",
+        "echo_wrong",
+        "ai_bus_off",
         "vcu_hung",
         "status_frozen",
     }
@@ -61,7 +64,7 @@ HIDDEN: Final = frozenset({Reason.COMMAND_STALE, Reason.BOTH_PEDALS, Reason.NOT_
 # To those who see the frames only, these look alike.
 ALIKE: Final[Mapping[Reason, frozenset[str]]] = {
     Reason.LOOP_FAULT: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent"}),
-    Reason.BUS_LOST: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent", "stop_asked"}),
+    Reason.BUS_LOST: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent", "ai_bus_off", "stop_asked"}),
     # One wheel that reads too much keeps the bridge from seeing that the brake has stopped the car.
     Reason.STOP_INEFFECTIVE: frozenset({Reason.STOP_INEFFECTIVE.slug, Reason.WHEEL_IMPLAUSIBLE.slug}),
     Reason.NOT_SEEN: frozenset({Reason.NOT_SEEN.slug, "frames_wrong", "stop_asked", "ai_silent"}),
