@@ -29,9 +29,7 @@ REMEDIES: Final[Mapping[str, str]] = {
         "check EBS air pressure and valves (accumulators, 0x301 on 2026 cars), then power-cycle for a new EBS test"
     ),
     "offboard_charger": "unplug the charger, close its socket, power-cycle",
-    "ai_comms_lost": (
-        "check that the AI computer runs and its CAN plug sits, then the load of its processor"
-    ),
+    "ai_comms_lost": ("check that the AI computer runs and its CAN plug sits, then the load of its processor"),
     "neutral_while_moving": (
         "keep FORWARD until all wheels have been under 10 rpm for 0.5 s; brake with 0x514, not with NEUTRAL"
     ),
@@ -62,9 +60,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "not_on_the_bus": "look in the software's own log for the emergency's cause",
     "vcu_silent": "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
-    "wheels_stale": (
-        "check why 0x525 stopped: VCU, wiring, bus load; else compare it with 0x526"
-    ),
+    "wheels_stale": ("check why 0x525 stopped: VCU, wiring, bus load; else compare it with 0x526"),
     "steering_stale": "check why 0x523 stopped: steering controller, VCU, wiring",
     "steering_implausible": _MOVE_STEERING,
     "wheel_implausible": _TURN_WHEELS,
@@ -187,7 +183,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "brake_unasked": "check that the EBS is not triggered, and the pressure sensors and valves",
     "steering_not_following": _MOVE_STEERING,
     "wheel_unlike": _TURN_WHEELS,
-    "wheels_swapped": "turn each wheel by hand and compare 0x525: plugs of left and right; or the angle's sign in 0x523",
+    "wheels_swapped": "turn each wheel by hand and compare 0x525: plugs of left and right; or the sign of 0x523",
     # Kinds of findings on a log (verdict/)
     "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
     "missing": _SENDER,
@@ -201,9 +197,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "reserved": "end the program on this computer that sends it",
     "period": "see whether --revision is the car's, whether somebody else sends it too, or its sender is held up",
     "second_car": "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus",
-    "lossy": (
-        "look why: the recording computer is too slow, the bus too full, or it has errors"
-    ),
+    "lossy": ("look why: the recording computer is too slow, the bus too full, or it has errors"),
     "recorder": "look whether the recording computer was held up",
     "steering-sign": "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523",
     "one-call": _BETWEEN,

@@ -407,7 +407,9 @@ def restarted(record: Record, gap: Gap, behind: str = "") -> Candidate:
     others = [
         other
         for other in record.gaps(sig.STATUS, SILENT_NS)
-        if other.begin_ns > gap.begin_ns and other.end_ns is not None and record.at(sig.AS_STATE, other.end_ns) in OFF_LIKE
+        if other.begin_ns > gap.begin_ns
+        and other.end_ns is not None
+        and record.at(sig.AS_STATE, other.end_ns) in OFF_LIKE
     ]
     again = f", the first of {len(others) + 1} such silences" if others else ""
     words = f"the last 0x520 before {ms(gap.length_ns)} of silence{behind}{again}"
@@ -489,11 +491,7 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
         candidates += _start_was_wrong(record, span)
     if stand is not None and not stand.driven:
         candidates += causes(record, stand)
-    elif (
-        wheels.max() < STANDING_RPM
-        and span.before is not None
-        and record.at(sig.AMI, span.end_ns) not in INSPECTIONS
-    ):
+    elif wheels.max() < STANDING_RPM and span.before is not None and record.at(sig.AMI, span.end_ns) not in INSPECTIONS:
         step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
         candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
     if candidates:

@@ -158,10 +158,20 @@ def _contradicted(record: Record, t_ns: int, sureness: Sureness) -> list[Candida
         return []
     right = np.flatnonzero(~wrong & ~lately)
     first = int(before[right[-1] + 1] if len(right) and right[-1] + 1 < len(before) else before[lately][0])
-    bits = [(int(asked.at(at_ns) or 0), int(value)) for at_ns, value in zip(before, echo.values, strict=False) if at_ns >= first]
+    bits = [
+        (int(asked.at(at_ns) or 0), int(value))
+        for at_ns, value in zip(before, echo.values, strict=False)
+        if at_ns >= first
+    ]
     count = sum(said != bit for bit, said in bits)
-    kind = "one and the same bit" if len({said for _, said in bits}) == 1 else "the inverse, or the bit of the 0x520 before"
-    words = f"{count} of {len(bits)} 0x510 contradict the last 0x520 before them, for {ms(t_ns - first)}: they say {kind}"
+    kind = (
+        "one and the same bit"
+        if len({said for _, said in bits}) == 1
+        else "the inverse, or the bit of the 0x520 before"
+    )
+    words = (
+        f"{count} of {len(bits)} 0x510 contradict the last 0x520 before them, for {ms(t_ns - first)}: they say {kind}"
+    )
     return [candidate("echo_wrong", sureness, sig.ECHO.step(first, words))]
 
 
@@ -176,7 +186,9 @@ def sag(record: Record, gap: Gap) -> list[ChainLink]:
     low = int(volts.values.argmin())
     high = float(volts.values[: low + 1].max())
     words = f"VBAT_ADC falls from {high:.1f} to {volts.values[low]:.1f} V"
-    return [sig.SUPPLY.step(int(volts.t_ns[low]), words, sig.SUPPLY.was(float(volts.values[low]), int(volts.t_ns[low])))]
+    return [
+        sig.SUPPLY.step(int(volts.t_ns[low]), words, sig.SUPPLY.was(float(volts.values[low]), int(volts.t_ns[low])))
+    ]
 
 
 def accumulators(record: Record, t_ns: int) -> list[ChainLink]:

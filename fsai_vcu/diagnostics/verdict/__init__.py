@@ -15,6 +15,7 @@ from itertools import groupby, islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+
 from fsai_vcu.core.supervision.start_conditions import Obstacle
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import told_revision
@@ -232,7 +233,9 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
         blamed = {cause.slug for cause in causes}
         findings += [one for one in _in_passing(whole, part_ns) if blamed.isdisjoint(SAID_BY.get(one.kind, ()))]
         findings += _frozen(whole, part_ns, explanation)
-        findings += [one for one in mistakes(whole, part_ns) if blamed.isdisjoint((one.kind, *SAID_BY.get(one.kind, ())))]
+        findings += [
+            one for one in mistakes(whole, part_ns) if blamed.isdisjoint((one.kind, *SAID_BY.get(one.kind, ())))
+        ]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     unknown = (*_unknown(record), *_perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
     return Verdict(whole.begin_ns, explanation, tuple(findings), unknown)
@@ -315,7 +318,8 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
         spans = record.series(warning).spans
         warned = [*within(part_ns, spans.of(1.0))]
         for span in warned[:1]:
-            words = f"{warning.name} is 1 for {ms(span.end_ns - span.begin_ns)} in {label(AS_STATE, state.at(span.begin_ns))}"
+            where = label(AS_STATE, state.at(span.begin_ns))
+            words = f"{warning.name} is 1 for {ms(span.end_ns - span.begin_ns)}, from {where} on"
             found.append((span.begin_ns, "warning", words, len(warned)))
     for cycle in list(within(part_ns, record.power_cycles))[:1]:
         found.append((cycle.begin_ns, "power-cycle", cycle.words, len(record.power_cycles)))

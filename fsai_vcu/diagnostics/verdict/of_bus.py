@@ -14,7 +14,13 @@ from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.diagnostics.statistics.echoes import EchoFault
-from fsai_vcu.diagnostics.statistics.measure import LOAD_WINDOW_NS, BusStatistics, Handshake, MessageStatistics
+from fsai_vcu.diagnostics.statistics.measure import (
+    LOAD_WINDOW_NS,
+    MISSING_PERIODS,
+    BusStatistics,
+    Handshake,
+    MessageStatistics,
+)
 from fsai_vcu.interface.bus_table import BY_ID, BusMessage, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -39,11 +45,11 @@ WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched o
 class Known:
     """What is known of a bus from its explanation.
 
-    told: (identifier, moment) that a cause names as missing, foreign or an error; lengths: identifiers whose length one
-    names. echoes_ns: moments of causes that name a missing echo; mixed: two cars speak, so that no echo means anything. shared:
-    identifiers on which more than one sends; absent: those whose absence is said already. errors_ns: the first error
-    frame. theirs: the AI computer's program is not this one. active: the car was about to drive when the log ended.
-    others: it is another bus than the car's, which has other messages.
+    told: (identifier, moment) that a cause names as missing, foreign or an error. lengths: identifiers whose length one
+    names. echoes_ns: moments of causes that name a missing echo. mixed: two cars speak, so that no echo means anything.
+    shared: identifiers on which more than one sends. absent: those whose absence is said already. errors_ns: the first
+    error frame; errors_told: a cause names them all. theirs: the AI computer's program is not this one. active: the car
+    was about to drive when the log ended. others: it is another bus than the car's, which has other messages.
     """
 
     told: frozenset[tuple[int | None, int]] = frozenset()
@@ -284,7 +290,7 @@ class _Judge:
 
     def _lossy(self) -> Finding | None:
         """Many messages that miss single frames again and again: nothing is wrong with each of them."""
-        found = [message for message in self.bus.messages if message.gaps and message.lost and message.expected_ms]
+        found = [message for message in self.bus.messages if message.gaps and message.lost and _in_its_period(message)]
         if sum(min(message.gaps, message.lost) >= MANY for message in found) < LOSSY:
             return None
         lost = {message.can_id: message.lost for message in found}
@@ -321,7 +327,7 @@ class _Judge:
             if gap_ms >= lost_ms:
                 words = f"{_of(message)} was silent for {gap_ms:.1f} ms: {lost_ms:g} ms count as lost"
                 yield _Pause(message, words, supervised)
-            elif message.gaps:
+            elif message.gaps and _in_its_period(message):
                 words = f"{_of(message)}: frames missing {message.gaps} times, the longest gap {gap_ms:.1f} ms"
                 yield _Pause(message, words, False)
 
@@ -360,6 +366,12 @@ def _shared(pause: list[_Pause]) -> tuple[int, int]:
     if length_ns <= 0:
         return pause[0].begin_ns, max(one.length_ns for one in pause)
     return begin_ns, length_ns
+
+
+def _in_its_period(message: MessageStatistics) -> bool:
+    """Whether it comes in its period at all: one that has another lacks no frames."""
+    expected_ms, p50_ms = message.expected_ms, message.interval_ms.p50_ms
+    return expected_ms is not None and p50_ms is not None and p50_ms < MISSING_PERIODS * expected_ms
 
 
 def _supervised(message: MessageStatistics, expected_ms: float) -> tuple[bool, float]:

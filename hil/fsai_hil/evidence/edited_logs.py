@@ -18,6 +18,7 @@ from fsai_hil.evidence.edits import (
     again,
     asks,
     batched,
+    before_a_good_one,
     driving,
     echo,
     edited,
@@ -29,6 +30,8 @@ from fsai_hil.evidence.edits import (
     off,
     only,
     ordered,
+    paced,
+    parks,
     put,
     puts,
     ready,
@@ -39,7 +42,6 @@ from fsai_hil.evidence.edits import (
     stops,
     swapped,
     turned_away,
-    waits,
     whole,
 )
 from fsai_vcu.diagnostics.explain import signals as sig
@@ -99,7 +101,7 @@ def _pressure(seconds: float) -> bytes:
 
 
 def _low_pressure(seconds: float) -> bytes:
-    return round(210).to_bytes(2, "little") * 4
+    return (210).to_bytes(2, "little") * 4
 
 
 EDITS: Final = (
@@ -120,11 +122,32 @@ EDITS: Final = (
     _one("an adapter's batches", batched(10)),
     _one("a log from AS_DRIVING on", only(driving(1.0), whole(-0.1))),
     _one("a log up to the drive", only(BEGIN, driving(5.0))),
-    _one("a battery that is low and gives all the same", put(sig.WARNINGS[1], 1.0, FAST), cites="WARN_BATT_SOC_LOW is 1"),
+    _one(
+        "a battery that is low and gives all the same", put(sig.WARNINGS[1], 1.0, FAST), cites="WARN_BATT_SOC_LOW is 1"
+    ),
     _one("two runs with the car off between them", again(8.0), cites="switched off and on"),
     _one("two runs, and the AI computer goes on", again(5.0, ai_goes_on=True), cites="switched off and on"),
     _one("two runs with a long night between them", again(600.0), cites="switched off and on"),
     _one("two runs of a car without fault bits", BARE, again(20.0), cites="switched off and on"),
+    _one("an AI computer with a jitter of 3 ms", paced(10.0, 3.0)),
+    _one("an AI computer of its own period and phase", paced(9.6)),
+    # ---- other things that are no cause of a stop
+    _one("an AI computer that sends every 20 ms", paced(20.0), named="period", also=("handshake",)),
+    _one(
+        "an emergency brake, the car off, and a good run", BARE, stops(BRAKED), before_a_good_one(8.0), named="sdc_open"
+    ),
+    _one(
+        "a restart in 2 s, in AS_OFF",
+        gone((*range(0x520, 0x527), 0x181, 0x500, 0x502), off(0.2), off(0.5)),
+        named=("gap",),
+    ),
+    _one("a bus that is dead for 300 ms in the drive", gone(range(0x7FF), driving(5.0), driving(5.3)), named="gap"),
+    _one("0x523 is missing for 300 ms", gone(0x523, driving(5.0), driving(5.3)), named="gap"),
+    _one(
+        "a second program sends 0x514",
+        sent(0x514, 50, lambda seconds: bytes(2), driving(2.0), driving(6.0)),
+        named=("intruder", "period"),
+    ),
     # ---- the car stands in AS_DRIVING
     _one(
         "the car allows no torque, and is asked for none",
@@ -223,11 +246,50 @@ EDITS: Final = (
         put(sig.TS_SWITCH, 0.0, driving(0.5)),
         named="tsms",
     ),
+    _one(
+        "it drove, and then nobody asks",
+        parks(driving(8.0), 9.0),
+        named=("not_driven", "no_torque_asked"),
+        cites="after it drove",
+        also=("stop_asked", "frozen"),
+    ),
     # ---- the car does not do what it is asked
+    _one(
+        "the torque is halved between two axles",
+        scaled(sig.TORQUE_R, 0.5),
+        put(sig.TORQUE_F, lambda values, seconds: values * 0.0 + 40.0, driving(3.5), driving(8.0)),
+        named="axle",
+        also=("torque_unasked",),
+    ),
+    _one(
+        "a steering that does not move",
+        put(sig.ANGLE, 0.0),
+        named="steering_not_following",
+        run="bends",
+        also=("steering_implausible", "stop_asked"),
+    ),
+    _one(
+        "a steering that turns the other way",
+        scaled(sig.ANGLE, -1.0),
+        named=("steering-sign", "steering_not_following"),
+        run="bends",
+        also=("steering_implausible", "stop_asked"),
+    ),
+    _one(
+        "brakes that do not come",
+        puts(dict.fromkeys((sig.BRAKE_F, sig.BRAKE_R), 0.0), driving(3.5)),
+        named="brake_not_following",
+        also=("stop_ineffective",),
+    ),
     _one("half of the torque", scaled(sig.CAR_TORQUE[1], 0.5), only(BEGIN, driving(8.0)), named="torque_not_given"),
     _one("two fifths of the torque", scaled(sig.CAR_TORQUE[1], 0.4), named="torque_not_given"),
     _one("three fifths of the torque", scaled(sig.CAR_TORQUE[1], 0.6), named="torque_not_given"),
-    _one("a car of 2021 with half of it", scaled(sig.CAR_TORQUE[1], 0.5), named="torque_not_given", run="acceleration 2021"),
+    _one(
+        "a car of 2021 with half of it",
+        scaled(sig.CAR_TORQUE[1], 0.5),
+        named="torque_not_given",
+        run="acceleration 2021",
+    ),
     _one(
         "a hot battery",
         puts({sig.WARNING_STATUS: 1.0, sig.WARNINGS[0]: 1.0, sig.CAR_TORQUE_MAX[1]: 20.0}, driving(1.0)),
@@ -272,7 +334,9 @@ EDITS: Final = (
         named="torque_unasked",
         cites="-80.0 Nm measured",
     ),
-    _one("a motor that turns in AS_READY", put(sig.CAR_TORQUE[1], 35.0, ready(2.0), ready(3.0)), named="torque_unasked"),
+    _one(
+        "a motor that turns in AS_READY", put(sig.CAR_TORQUE[1], 35.0, ready(2.0), ready(3.0)), named="torque_unasked"
+    ),
     _one(
         "one wheel that reads 250 rpm too much",
         added(sig.WHEELS[3], 250.0, driving(3.0)),
@@ -298,7 +362,59 @@ EDITS: Final = (
     ),
     _one("TS_STATE shows the fault", BARE, stops(BRAKED, TS_STATE=float(TsState.TS_FAULT)), named="ts_fault"),
     _one("the AI computer falls silent", BARE, *ai_falls_silent(stops(BRAKED)), named="ai_silent"),
-    _one("the AI computer says NEUTRAL", BARE, put(sig.DIRECTION, 0.0, BEFORE), stops(BRAKED), named="neutral_while_moving"),
+    _one(
+        "the AI computer says NEUTRAL",
+        BARE,
+        put(sig.DIRECTION, 0.0, BEFORE),
+        stops(BRAKED),
+        named="neutral_while_moving",
+    ),
+    _one(
+        "the AI computer says FINISHED at speed",
+        BARE,
+        put(sig.MISSION_STATUS, 3.0, BEFORE),
+        stops(BRAKED),
+        put(sig.MISSION_STATUS, 3.0, BEFORE),
+        named="finished_while_moving",
+    ),
+    _one(
+        "the AI computer asks, and no bit says so",
+        BARE,
+        put(sig.ESTOP, 1.0, driving(5.98)),
+        stops(BRAKED),
+        named=("not_on_the_bus", "ai_computer_request"),
+    ),
+    _one(
+        "the remote's radio is lost",
+        BARE,
+        put(sig.RADIO_STRENGTH, 0.0, driving(5.5)),
+        stops(BRAKED),
+        named="radio_lost",
+    ),
+    _one(
+        "torque and brake together",
+        BARE,
+        puts({sig.TORQUE_R: 30.0, sig.BRAKE_REQ_F: 20.0}, driving(5.95), driving(6.02)),
+        stops(BRAKED),
+        named="torque_with_brake",
+    ),
+    _one(
+        "a car of 2021, TSMS off",
+        BARE,
+        put(sig.TS_SWITCH, 0.0, BEFORE),
+        stops(BRAKED),
+        named="tsms_off",
+        run="acceleration 2021",
+    ),
+    _one(
+        "a fault bit that comes 50 ms later, without a cause",
+        BARE,
+        stops(BRAKED),
+        put(sig.FAULTS[3], 1.0, driving(6.05)),
+        named="ebs_fault",
+    ),
+    _one("a fault bit of the interlock", BARE, stops(BRAKED, HVIL_OPEN_FAULT=1.0), named="hvil_open"),
+    _one("the battery management", BARE, stops(BRAKED, SHUTDOWN_CAUSE=10.0), named="bms"),
     # ---- it brakes, and names a link that was lost, or a request
     _one(
         "an inverted echo",
@@ -400,7 +516,9 @@ EDITS: Final = (
         named=("asms", "pushbar"),
         cites="pushbar",
     ),
-    _one("the car is charged", stays(AsState.AS_OFF, 9.0), put(sig.OP_STATE, float(OpState.OP_CHARGE)), named="charging"),
+    _one(
+        "the car is charged", stays(AsState.AS_OFF, 9.0), put(sig.OP_STATE, float(OpState.OP_CHARGE)), named="charging"
+    ),
     _one("no mission is chosen", stays(AsState.AS_OFF, 9.0), put(sig.AMI, 0.0), named="no_mission"),
     _one("0x510 is too short", stays(AsState.AS_OFF, 9.0), short(0x510, 6), named="ai_message_length", cites="6 bytes"),
     _one("0x514 is too short", stays(AsState.AS_OFF, 9.0), short(0x514, 1), named="ai_message_length", cites="1 bytes"),
@@ -479,8 +597,41 @@ EDITS: Final = (
         put(sig.REMOTE_GO, 1.0, ready(2.0), ready(2.6)),
         named="go_too_early",
     ),
-    _one("Go is not pressed", stays(AsState.AS_READY, 12.0), named="no_go", cites="K2_SWITCH_GO_STATUS of the remote stays 0"),
+    _one(
+        "Go is not pressed",
+        stays(AsState.AS_READY, 12.0),
+        named="no_go",
+        cites="K2_SWITCH_GO_STATUS of the remote stays 0",
+    ),
     _one("Go is not pressed, without the remote's messages", stays(AsState.AS_READY, 12.0), gone(0x181), named="no_go"),
+    _one("Go is held from before", stays(AsState.AS_READY, 12.0), put(sig.GO, 1.0, off(0.0)), named="go_held"),
+    _one(
+        "Go comes early, and GO_SIGNAL shows it",
+        stays(AsState.AS_READY, 12.0),
+        puts({sig.GO: 1.0, sig.REMOTE_GO: 1.0}, ready(2.0)),
+        named="go_too_early",
+    ),
+    _one(
+        "torque is asked for in AS_READY",
+        stays(AsState.AS_READY, 12.0),
+        put(sig.TORQUE_R, 12.0, ready(1.0)),
+        put(sig.GO, 1.0, ready(6.0)),
+        named="torque_requested",
+    ),
+    _one("ASMS goes off in AS_READY", turned_away(ready(3.0)), put(sig.AS_SWITCH, 0.0, ready(2.97)), named="given_up"),
+    _one(
+        "the AI computer is not there in AS_OFF",
+        stays(AsState.AS_OFF, 9.0),
+        gone(AI_IDS, off(0.3)),
+        named=("no_ai_data", "ai_silent"),
+        also=("stopped",),
+    ),
+    _one(
+        "the AI computer says NOT_SELECTED",
+        stays(AsState.AS_OFF, 9.0),
+        put(sig.MISSION_STATUS, 0.0),
+        named="status_not_selected",
+    ),
     _one(
         "the steering is turned",
         stays(AsState.AS_READY, 12.0),

@@ -22,16 +22,15 @@ from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Values
 from fsai_vcu.diagnostics.explain.signals import Signal
-from fsai_vcu.diagnostics.log.frames import Frames, Ints, LogFrame, Mask, frames_of, joined
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, Mask, frames_of, joined
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, TsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
 
 CHANNEL: Final = "can0"
 STOPS_IN_S: Final = 1.5
 AFTER_S: Final = 3.0  # of a log behind what ended its drive
-WORD: Final = np.uint64(2**64 - 1)
 
 
 class Moment(NamedTuple):
@@ -140,11 +139,12 @@ def put(signal: Signal, value: float | Changed, since: Moment = BEGIN, until: Mo
 
     def act(log: Log) -> Log:
         layout = log.run.decoder.databases.by_name(signal.message)
-        assert layout is not None, signal
+        if layout is None:
+            return log
         names = (signal.name, f"{signal.name}_Nm")
-        place = next(one for one in layout.signals if one.name in names)
+        place = next((one for one in layout.signals if one.name in names), None)
         rows = log.rows(layout.can_id, since, until)
-        if not rows.any():
+        if place is None or not rows.any():  # this car does not send it
             return log
         if callable(value):
             values = log.record.series(signal).sampled(log.frames.t_ns[rows])
@@ -226,9 +226,7 @@ def echo(kind: str, since: Moment = BEGIN, until: Moment = END) -> Act:
 def gone(ids: int | Iterable[int], since: Moment = BEGIN, until: Moment = END) -> Act:
     """These messages are missing from then to then."""
     chosen = [ids] if isinstance(ids, int) else [*ids]
-    return lambda log: log.said(
-        log.frames.only(~(np.isin(log.frames.can_id, chosen) & log.between(since, until)))
-    )
+    return lambda log: log.said(log.frames.only(~(np.isin(log.frames.can_id, chosen) & log.between(since, until))))
 
 
 def only(since: Moment, until: Moment) -> Act:
@@ -289,9 +287,41 @@ def error(can_id: int, data: str, at: Moment) -> Act:
     return act
 
 
+def paced(period_ms: float, jitter_ms: float = 0.0) -> Act:
+    """The AI computer sends every so often, early or late by up to the jitter, what it had to say by then."""
+
+    def act(log: Log) -> Log:
+        frames, rng = log.frames, np.random.default_rng(0)
+        of_ai = np.isin(frames.can_id, AI_IDS)
+        begin_ns, end_ns = (int(frames.t_ns[of_ai][place]) for place in (0, -1))
+        grid = begin_ns + np.arange(0, end_ns - begin_ns, round(period_ms * MS))
+        grid = grid + rng.integers(-round(jitter_ms * MS), round(jitter_ms * MS) + 1, len(grid))
+        parts = [frames.only(~of_ai)]
+        for place, can_id in enumerate(AI_IDS):
+            rows = np.flatnonzero(frames.can_id == can_id)
+            newest = rows[np.maximum(np.searchsorted(frames.t_ns[rows], grid, side="right") - 1, 0)]
+            copied = {name: getattr(frames, name)[newest] for name in ("can_id", "flags", "length", "word", "channel")}
+            parts.append(replace(frames, t_ns=grid + place * 200_000, **copied, long={}))
+        paced = log.said(joined(parts))
+        return paced if jitter_ms else edited(paced, echo("as asked"))
+
+    return act
+
+
 def batched(every_ms: int) -> Act:
     """An adapter hands frames over so often, with the time of the handing over."""
     return lambda log: log.said(log.frames.at((log.frames.t_ns // (every_ms * MS) + 1) * every_ms * MS))
+
+
+def before_a_good_one(dark_s: float) -> Act:
+    """After this run the car is switched off for so long, and a good one follows."""
+
+    def act(log: Log) -> Log:
+        good = log.run.frames
+        behind_ns = int(log.frames.t_ns[-1]) + round(dark_s * S) - int(good.t_ns[0])
+        return log.said(joined([log.frames, good.at(good.t_ns + behind_ns)]))
+
+    return act
 
 
 def again(dark_s: float, *, ai_goes_on: bool = False) -> Act:
@@ -332,7 +362,7 @@ def stops(at: Moment, **bits: float) -> Act:
         sig.EBS_STATE: float(EbsState.EBS_TRIGGERED),
         sig.TS_STATE: float(TsState.TS_SHUTDOWN),
         sig.STATUS_EBS: 3.0,
-        **{wheel: slower for wheel in sig.WHEELS},
+        **dict.fromkeys(sig.WHEELS, slower),
         **dict.fromkeys(sig.CAR_TORQUE, 0.0),
         **{Signal("VCU2AI_Status", name): value for name, value in bits.items()},
     }
@@ -389,8 +419,16 @@ def asks(torque_nm: float, *, since: Moment | None = None) -> Act:
     return put(sig.TORQUE_R, torque_nm, since or driving(3.2))
 
 
-CAR_IDS: Final = (*VCU_IDS, 0x181)
-
-
-def times_of(log: Log, can_id: int) -> Ints:
-    return log.frames.t_ns[log.frames.can_id == can_id]
+def parks(since: Moment, seconds: float) -> Act:
+    """The car drove, and stands from that moment on in AS_DRIVING, without a request; the log ends so much later."""
+    rests: dict[Signal, float | Changed] = dict.fromkeys(
+        (*sig.WHEELS, *sig.CAR_TORQUE, *(sig.TORQUE_F, sig.TORQUE_R, sig.SPEED_MAX_R)), 0.0
+    )
+    car: dict[Signal, float | Changed] = {
+        sig.AS_STATE: float(AsState.AS_DRIVING),
+        sig.MISSION_STATUS: float(MissionStatus.RUNNING),
+        sig.DIRECTION: float(Direction.FORWARD),
+        sig.GO: 1.0,
+    }
+    until = Moment(since.state, since.seconds + seconds)
+    return together(puts({**rests, **car}, since), *(held(count, since) for count in sig.PULSES), only(BEGIN, until))
