@@ -152,9 +152,9 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
         yield Mismatch(
             "torque_unasked", given_signal, asked_signal, more | against, words, (asked, given), UNASKED_LASTING_NS
         )
-        limit = f"{max_signal.name} is {{:.1f}} Nm, and {{:.1f}} Nm are asked for"
+        allows = f"{max_signal.name} is {{:.1f}} Nm, and {{:.1f}} Nm are asked for"
         held = free & (wanted - most > TORQUE_NM) & (most < LIMIT_SHARE * wanted)
-        yield from _derated(column, held, Mismatch("derated", max_signal, asked_signal, held, limit, (most, asked), S))
+        yield from _derated(column, held, Mismatch("derated", max_signal, asked_signal, held, allows, (most, asked), S))
     pushed, _ = _range(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",

@@ -189,7 +189,7 @@ class Gap(NamedTuple):
 class WrongLengths(NamedTuple):
     """Frames of one message that have another length than the message, which counts as if they did not come."""
 
-    count: int
+    frames: int
     first_ns: int
     lengths: tuple[int, ...]
     right: int

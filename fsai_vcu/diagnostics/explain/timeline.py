@@ -277,7 +277,7 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
     for can_id, wrong in record.wrong_length.items():
         known = BY_ID.get(can_id)
         grave = known is not None and known.flow in (Flow.TO_VCU, Flow.FROM_VCU)
-        text = f"{known or f'0x{can_id:03X}'} has {wrong.words} ({wrong.count} frames): it counts as missing"
+        text = f"{known or f'0x{can_id:03X}'} has {wrong.words} ({wrong.frames} frames): it counts as missing"
         yield TimelineEntry(wrong.first_ns, "bus", text, FAULT if grave else WARNING, can_id)
     for t_ns, back_ns in record.set_back:
         text = f"the log's clock was set back by {ms(back_ns)}: what follows is moved on"

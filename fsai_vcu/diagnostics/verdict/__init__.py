@@ -304,8 +304,8 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
     for kind, signal in (*(("torque-limit", each) for each in CAR_TORQUE_MAX), ("go", GO)):
         series = record.series(signal)
         most = series.values[state.sampled(series.t_ns) == DRIVING].max(initial=0.0)
-        low = series.values <= (LOW_SHARE * most if kind == "torque-limit" else 0.0)
-        spans = replace(series, values=low.astype(np.float64)).spans
+        below = series.values <= (LOW_SHARE * most if kind == "torque-limit" else 0.0)
+        spans = replace(series, values=below.astype(np.float64)).spans
         drives = [state.sampled(spans.begin_ns + later_ns) == DRIVING for later_ns in (0, COMMS_LOST_NS)]
         rows = np.flatnonzero(np.logical_and.reduce([spans.values * most > 0.0, ~spans.apart[:-1], *drives]))
         falls = [*within(part_ns, (spans[row] for row in rows.tolist()))]
