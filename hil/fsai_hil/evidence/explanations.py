@@ -1,10 +1,10 @@
 """Does the explanation of a log name what was really wrong? Two halves, each with its score.
 
-    python -m fsai_hil.evidence.explanations     # status 0 where both halves are right from 95 % on, and none falsely OK
+    python -m fsai_hil.evidence.explanations     # status 0 where both are right from 95 % on, and none falsely OK
 
-The first half are runs of the fault campaign, a log of each kind of fault: what is expected follows from the run itself,
-the bridge's own reason, or why the simulated VCU changed its state. The second half are good runs that were changed
-frame by frame (edited_logs.py), as other cars and other AI computers would have written them.
+The first half are runs of the fault campaign, a log of each kind of fault: what is expected follows from the run, the
+bridge's own reason, or why the simulated VCU changed its state. The second half are good runs that were changed frame
+by frame (edited_logs.py), as other cars and other AI computers would have written them.
 """
 
 from __future__ import annotations
