@@ -63,6 +63,8 @@ VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
     "high-voltage interlock open": frozenset({"hvil_open"}),
     "LVMS off": frozenset({"vcu_reboot", "power_off"}),
 }
+# What a car does beside, whatever the fault was: one that is held still stands, and what is measured wrong is not asked
+TRUE_ANYWAY: Final = (IncidentKind.MISMATCH, IncidentKind.STAND)
 # Why it stops a drive does not show on the bus.
 HIDDEN: Final = frozenset({Reason.COMMAND_STALE, Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED})
 # To those who see the frames only, these look alike.
@@ -137,7 +139,7 @@ def explained(seed: int, index: int) -> Explained:
         for f in rig.on_frame
     )
     verdict = judged(frames).verdict
-    incidents = [incident for incident in verdict.explanation.incidents if incident.kind is not IncidentKind.MISMATCH]
+    incidents = [incident for incident in verdict.explanation.incidents if incident.kind not in TRUE_ANYWAY]
     named = tuple(incident.candidates[0].slug for incident in incidents)
     others = tuple(one.slug for incident in incidents for one in incident.candidates[1:])
     also = _asked(reasons["stopping"]) if end in (End.SELF, End.OFF) and "stopping" in reasons else NOTHING
