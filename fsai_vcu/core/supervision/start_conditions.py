@@ -68,7 +68,7 @@ class Obstacle(Value, frozen=True):
     @property
     def sentence(self) -> str:
         """The words, and the evidence where they do not name it already."""
-        signal = self.evidence.partition(" is ")[0]
+        signal = self.evidence.partition(" ")[0]
         named = (self.evidence, self.evidence.replace(" is ", " "), f"({signal}", f"{signal}:")
         return self.words if any(part in self.words for part in named) else f"{self.words} ({self.evidence})"
 

@@ -107,6 +107,7 @@ def _emergency(record: Record, span: Span) -> Incident:
     if not reported:
         candidates += _unreported(record, t_ns) if driven else []
         losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
+        losses += _still(record, t_ns, Sureness.FITS) if driven and not losses else []
         candidates += [one for one in losses if t_ns - one.t_ns <= BEHIND_NS]
         candidates += _simulators_brake(record, t_ns)
     candidates += _impossible(span)
@@ -207,14 +208,8 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
         return [candidate("vcu_hung", sureness, ChainLink(silence.begin_ns, words, sig.STATUS))]
     if found := link_losses(record, t_ns, sureness):
         return found
-    still = record.span_at(sig.HANDSHAKE, t_ns - 1)
-    if still is not None and t_ns - still.begin_ns >= STOOD_NS:
-        length = ms(still.end_ns - still.begin_ns)
-        words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
-        stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))
-        # A VCU that hears nobody says so after its patience: one that says nothing for longer was not heard itself.
-        slug = "status_frozen" if t_ns - still.begin_ns >= COMMS_LOST_NS + DEAD_NS else "handshake_stands"
-        return [candidate(slug, sureness, stands_at)]
+    if found := _still(record, t_ns, sureness):
+        return found
     if all(map(record.has, AI_IDS)):
         words = "0x510 to 0x514 and the echo are all in this log, in time"
         return [candidate("ai_unheard", sureness, ChainLink(t_ns, words, 0x510))]
@@ -222,6 +217,19 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
     if record.ai_speaks:
         words = "this log does not have all five messages of the AI computer"
     return [candidate("ai_comms_lost", sureness, ChainLink(t_ns, words, sig.STATUS, "AI_COMMS_LOST"))]
+
+
+def _still(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
+    """A HANDSHAKE that toggled, and then stood for so long that its echo was missed, or nothing was done any more."""
+    still = record.span_at(sig.HANDSHAKE, t_ns - 1)
+    if still is None or still.before is None or t_ns - still.begin_ns < STOOD_NS:
+        return []
+    length = ms(still.end_ns - still.begin_ns)
+    words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
+    stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))
+    # A VCU that hears nobody says so after its patience: one that says nothing for longer was not heard itself.
+    slug = "status_frozen" if t_ns - still.begin_ns >= COMMS_LOST_NS + DEAD_NS else "handshake_stands"
+    return [candidate(slug, sureness, stands_at)]
 
 
 def _torque_with_brake(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:

@@ -162,7 +162,7 @@ def _not_asked(seen: _Seen) -> Iterator[Candidate]:
         words = f"{asks.name} is {seen.at(asks):g} Nm, and the AXLE_TRQ_MAX of that axle is 0"
         yield shown("axle", seen.step(asks, words))
         return
-    given = max(sig.CAR_TORQUE, key=seen.at)
+    given = sig.CAR_TORQUE[max((0, 1), key=lambda axle: seen.at(TORQUES[axle]))]
     words = f"{torque}, {given.name} is {seen.at(given):.1f} Nm, and no wheel turns"
     slug = "no_motion" if seen.at(given) > GIVEN_SHARE * seen.at(*TORQUES) else "torque_not_given"
     yield candidate(slug, Sureness.FITS, seen.step(given, words, *TORQUES))

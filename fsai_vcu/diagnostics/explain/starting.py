@@ -173,8 +173,9 @@ def _waited_in_vain(record: Record, span: Span) -> Incident | None:
         silences = [gap for gap in record.gaps(sig.STATUS, ANSWER_NS) if gap.end_ns == span.end_ns]
         found += [restarted(record, gap, f", then {state}") for gap in silences]
         if not found:
-            found += [*_turned_away(record, span), *_missing(record, span.end_ns)]
-            found = [one for one in found if one.sureness >= Sureness.SHOWN]
+            # What follows from a switch is shown by the same frame.
+            missing = (one for one in _missing(record, span.end_ns) if one.sureness >= Sureness.SHOWN)
+            found += [*_turned_away(record, span)] or missing
     elif losses := _losses(record, end_ns):
         found += losses
     if waited_ns >= NO_GO_NS and not found:

@@ -372,7 +372,8 @@ def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
 
 def _because(one: Candidate) -> str:
     """The cause of a refusal, with what shows it, in the words of everybody who says why a car does not drive."""
-    return Obstacle(one.slug, one.cause.words, one.steps[0].words).sentence
+    shows = one.steps[-1 if one.slug == "start_unclear" else 0].words
+    return one.cause.words if one.slug == "start_unknown" else Obstacle(one.slug, one.cause.words, shows).sentence
 
 
 def _of_incident(incident: Incident) -> Finding:

@@ -111,7 +111,7 @@ class _Judge:
         yield from self._times()
         stopped = list(self._together_stopped())
         self.gone = frozenset(can_id for finding in stopped for can_id in finding.can_ids)
-        yield from stopped
+        yield from (one for one in stopped if not self._is_told(one.can_ids[0], (one.t_ns or 0) / S))
         yield from self._missing()
         if bus.handshake is not None:
             yield from self._handshake(bus.handshake)
@@ -179,6 +179,8 @@ class _Judge:
             often = f"{handshake.wrong} of {handshake.echoes} echoes are wrong"
             text = f"the AI computer sends back {handshake.fault.value}: {often}"
             if handshake.fault is not EchoFault.LATE:
+                if self.known.echoes_ns:
+                    return
                 yield self._finding(True, "echo", f"{text}; {_NOT_ON_THE_CAR}", 0x510)
                 return
             yield self._finding(False, "handshake", text, 0x510)
