@@ -100,7 +100,7 @@ class Condition(Value, frozen=True):
         return source, f"{SIGNAL_OF[source]} is {_label(value)}{_more(moment, source)}"
 
     def met(self, moment: Moment) -> tuple[str, str] | None:
-        """Where it is seen that the condition is met: the field that shows it, and its value in words."""
+        """The field that shows the condition as met, and its value in words; None where that is not seen."""
         known = self._known(moment)
         if known is None or not self.wanted(known[1]):
             return None

@@ -1,4 +1,4 @@
-"""What a log shows of each condition of a start at one moment: which are not met, and which are seen met.
+"""Conditions of a start as a log shows them at one moment: those that are not met, and those that are seen met.
 
 The conditions themselves are those of `start_conditions.py`.
 """
@@ -172,7 +172,7 @@ def named(slug: str, record: Record, t_ns: int) -> str:
 
 
 def all_met(state: AsState, record: Record, t_ns: int) -> Candidate:
-    """What is left where no condition is seen to be missing: that each was seen met, or which were, and which not."""
+    """The candidate that is left where no condition is seen to be missing: each was seen met, or some were not seen."""
     shown, unseen = seen_met(moment(record, t_ns), state)
     fresh = {
         _SIGNALS[source]: words

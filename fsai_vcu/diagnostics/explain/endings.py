@@ -355,7 +355,7 @@ def _unreported(record: Record, t_ns: int) -> list[Candidate]:
 
 
 def _failed(record: Record, t_ns: int) -> Iterator[Candidate]:
-    """What a state of the car's systems shows of a fault, or of people at the car, where no fault bit does."""
+    """Causes that a state of the car's systems shows, where no fault bit does: faults, and people at the car."""
     for slug, signal, value in (
         ("ebs_fault", sig.EBS_STATE, EbsState.EBS_FAULT),
         ("ts_fault", sig.TS_STATE, TsState.TS_FAULT),

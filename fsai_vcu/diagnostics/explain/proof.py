@@ -14,7 +14,7 @@ from fsai_vcu.diagnostics.explain.record import Record
 
 
 def holds(record: Record, claim: Claim) -> bool:
-    """Whether the frames say the same; no frame with the signal by then denies it."""
+    """True where the frames say the same. Where no frame had the signal by then, they do not."""
     series = record.series(claim.signal)
     first = series.at(claim.begin_ns)
     values = series.between(claim.begin_ns, claim.end_ns).values

@@ -292,7 +292,7 @@ class Record:
         return not self.has(can_id) and can_id not in self.unknown_ids
 
     def never_right(self, can_id: int) -> bool:
-        """Whether that message came, and always with a wrong length."""
+        """True where that message came, and always with a wrong length."""
         return can_id in self.wrong_length and not self.has(can_id)
 
     @property
@@ -421,7 +421,7 @@ class Record:
 
     @cached_property
     def power_cycles(self) -> Sequence[PowerCycle]:
-        """Where the car was switched off and on, before or after its runs: in time with its orders, and no fault.
+        """Times in which the car was switched off and on, before or after its runs: that is as it has to be, and no fault.
 
         It comes back in AS_INIT or AS_OFF, and what it counts begins anew. One that was about to drive, or is back
         within 3 s with its switches on, restarted by itself.

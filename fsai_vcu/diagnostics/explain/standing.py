@@ -103,7 +103,7 @@ class _Seen:
 
 
 def causes(record: Record, stand: Stand) -> list[Candidate]:
-    """What kept the car there, the first to be put right in front; never empty."""
+    """The causes that kept the car there, the first to be put right in front; never empty."""
     seen = _Seen(record, stand)
     length = ms(stand.end_ns - stand.begin_ns)
     missing = [one for one in unmet(AsState.AS_DRIVING, record, stand.end_ns) if one.sureness >= Sureness.SHOWN]
@@ -117,7 +117,7 @@ def causes(record: Record, stand: Stand) -> list[Candidate]:
 
 
 def _not_let(seen: _Seen) -> Iterator[Candidate]:
-    """The car gives no torque, or is held."""
+    """Causes of the car: it gives no torque, or is held."""
     axles = ((seen.record.car.driven_front, 0), (seen.record.car.driven_rear, 1))
     limits = [sig.CAR_TORQUE_MAX[axle] for driven, axle in axles if driven]
     if seen.has(*limits) and seen.mostly(seen.column(*limits) < NO_TORQUE_NM):
@@ -130,7 +130,7 @@ def _not_let(seen: _Seen) -> Iterator[Candidate]:
 
 
 def _not_asked(seen: _Seen) -> Iterator[Candidate]:
-    """The AI computer asks for nothing, or says something beside that keeps the car from driving."""
+    """Causes of the AI computer: it asks for nothing, or says something beside that keeps the car from driving."""
     if not seen.has(*TORQUES):
         return
     asked, braked = seen.column(*TORQUES), seen.column(*BRAKES)

@@ -86,7 +86,7 @@ def _never_ready(record: Record) -> Iterator[Incident]:
 
 
 def _where(record: Record, begin_ns: int, end_ns: int) -> str:
-    """In which states, and how long in each."""
+    """The states of a stay, and how long each of them lasted."""
     states = record.series(sig.AS_STATE).between(begin_ns, end_ns)
     parts = [
         (label(sig.AS_STATE, state), [t_ns for _, t_ns in rows])
@@ -126,12 +126,12 @@ def _judged_at(record: Record, begin_ns: int, end_ns: int) -> int:
 
 
 def _losses(record: Record, t_ns: int) -> list[Candidate]:
-    """How the link to the AI computer was lost, at a moment in which the car was to start."""
+    """Losses of the link to the AI computer, at a moment in which the car was to start."""
     return link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
 
 
 def _missing(record: Record, t_ns: int) -> list[Candidate]:
-    """What does not hold of what is asked in AS_READY; of a link that is lost, how."""
+    """Conditions of AS_READY that do not hold; in the place of a link that is lost, how it was."""
     losses = _losses(record, t_ns)
     found = [one for one in unmet(AsState.AS_READY, record, t_ns) if not losses or one.slug not in SILENT]
     return [*losses, *found]
@@ -193,7 +193,7 @@ def _waited_in_vain(record: Record, span: Span) -> Incident | None:
 
 
 def _turned_away(record: Record, span: Span) -> Iterator[Candidate]:
-    """What somebody changed just before AS_READY was left for AS_OFF."""
+    """Changes that somebody made just before AS_READY was left for AS_OFF."""
     for slug, signal, to in (
         ("tsms", sig.TS_SWITCH, 0),
         ("mission_changed", sig.AMI, None),
@@ -203,7 +203,7 @@ def _turned_away(record: Record, span: Span) -> Iterator[Candidate]:
 
 
 def _no_go(record: Record, span: Span, end_ns: int) -> Iterator[Candidate]:
-    """No Go came that counts: by GO_SIGNAL, and by the remote's own words where they are in the log."""
+    """Causes of a Go that did not come, by GO_SIGNAL and by the remote's own words where they are in the log."""
     go = record.span_at(sig.GO, end_ns)
     if go is None:
         return

@@ -254,7 +254,7 @@ def _known(
     senders: Sequence[SecondSender],
     cars: Sequence[SecondSender],
 ) -> Known:
-    """What the explanation says of a bus already."""
+    """The knowledge of a bus that its explanation brings."""
     own = bus.channel == record.channel
     causes = [incident.candidates[0] for incident in explanation.incidents]
     told = _told(explanation)
@@ -292,7 +292,7 @@ def _told(explanation: Explanation) -> set[tuple[int | None, int]]:
 
 
 def _all_told(record: Record, told: set[tuple[int | None, int]]) -> bool:
-    """Whether all error frames are near the one that a cause cites."""
+    """True where all error frames are near the one that a cause cites."""
     cited = [t_ns for can_id, t_ns in told if can_id is None and t_ns in record.error_ns]
     return any(record.error_ns[-1] - S <= t_ns <= record.error_ns[0] + S for t_ns in cited)
 

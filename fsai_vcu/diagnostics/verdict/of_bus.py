@@ -43,7 +43,7 @@ WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched o
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a bus from its explanation.
+    """Knowledge of a bus from its explanation, which is not said a second time.
 
     told: (identifier, moment) that a cause names as missing, foreign or an error. lengths: identifiers whose length one
     names. echoes_ns: moments of causes that name a missing echo. mixed: two cars speak, so that no echo means anything.
@@ -89,7 +89,7 @@ class _Pause(NamedTuple):
         return round((self.message.longest_gap_ms or 0.0) * MS)
 
     def same(self, other: _Pause) -> bool:
-        """Whether both were missing at one time: most of the shorter pause lies within the longer one."""
+        """True where both were missing at one time: most of the shorter pause lies within the longer one."""
         begins, lasts = (self.begin_ns, other.begin_ns), (self.length_ns, other.length_ns)
         shared = min(self.begin_ns + self.length_ns, other.begin_ns + other.length_ns) - max(begins)
         return abs(begins[0] - begins[1]) <= AT_ONCE_NS or shared > 0.5 * min(lasts)
@@ -215,7 +215,7 @@ class _Judge:
         yield self._finding(False, "unknown", f"{len(ids)} identifiers are in no database: {names}", ids, first_s)
 
     def _message(self, message: MessageStatistics) -> Iterator[Finding]:
-        """What is wrong with one message, but for its pauses."""
+        """Findings on one message, but for its pauses."""
         can_id, name = message.can_id, _of(message)
         if message.wrong_lengths and can_id not in self.known.lengths:
             which = ", ".join(f"{count} of {length} bytes" for length, count in message.wrong_lengths.items())
@@ -320,7 +320,7 @@ class _Judge:
         return together
 
     def _is_told(self, can_id: int, since_s: float) -> bool:
-        """Whether a cause names the message, or what is silent with it, as missing since then."""
+        """True where a cause names the message, or what is silent with it, as missing since then."""
         return any(can_id in _with(at) and abs(t_ns - since_s * S) <= AT_ONCE_NS for at, t_ns in self.known.told)
 
     def _each_pause(self) -> Iterator[_Pause]:
@@ -374,13 +374,13 @@ def _shared(pause: list[_Pause]) -> tuple[int, int]:
 
 
 def _in_its_period(message: MessageStatistics) -> bool:
-    """Whether it comes in its period at all: one that has another lacks no frames."""
+    """True where it comes in its period at all: one that has another lacks no frames."""
     expected_ms, p50_ms = message.expected_ms, message.interval_ms.p50_ms
     return expected_ms is not None and p50_ms is not None and p50_ms < MISSING_PERIODS * expected_ms
 
 
 def _supervised(message: MessageStatistics, expected_ms: float) -> tuple[bool, float]:
-    """Whether somebody acts on the loss of that message, and how long without it is one."""
+    """(True where somebody acts on the loss of that message, the ms without it that are a loss)."""
     own: BusMessage | None = None if message.extended else BY_ID.get(message.can_id)
     own = own if own is not None and own.name == message.name else None
     lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * expected_ms

@@ -643,7 +643,7 @@ EDITS: Final = (
 
 
 class Told(Value, frozen=True):
-    """What was said of an edited log."""
+    """The judgement of an edited log beside what was expected of it."""
 
     edit: str
     grade: str  # right, partly (and something else), wrong

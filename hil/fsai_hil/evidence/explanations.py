@@ -183,7 +183,7 @@ def _edit_not_right(one: Told) -> str:
 
 
 class Score(NamedTuple):
-    """What came of one half. missed: each log that was not told rightly, in words."""
+    """The score of one half. missed: each log that was not told rightly, in words."""
 
     what: str
     grades: Mapping[str, int]
@@ -206,7 +206,7 @@ class Score(NamedTuple):
 
 
 def score(what: str, found: Iterable[Explained | Told]) -> Score:
-    """The score of one half."""
+    """The score of these logs."""
     logs = list(found)
     grades = {grade: sum(one.grade == grade for one in logs) for grade in ("right", "partly", "wrong")}
     missed = (_not_right(one) if isinstance(one, Explained) else _edit_not_right(one) for one in logs)
