@@ -93,8 +93,8 @@ def _of_theirs(incident: Incident) -> Incident:
 
 
 def _told_by(other: Incident, one: Incident) -> bool:
-    """True where the other tells the same: what the car does not do as asked is why an AI computer that watches it stops
-    it, and why it stands; a stand is why somebody ends it."""
+    """True where the other tells the same: what the car does not do as asked is why an AI computer stops it, and why it
+    stands; a stand is why somebody ends it."""
     if one.kind is IncidentKind.MISMATCH and other.kind is IncidentKind.STAND:
         return one.candidates[0].slug in OF_A_STAND and one.begin_ns <= other.end_ns and other.begin_ns <= one.end_ns
     if one.kind is IncidentKind.STAND:

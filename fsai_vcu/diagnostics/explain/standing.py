@@ -30,7 +30,7 @@ from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import S, ms
 
-STAND_NS: Final = 6 * S  # an AI computer holds the car for 3 s at first, and has as long again for the first torque
+STAND_NS: Final = 7 * S  # an AI computer holds the car for 3 s at first, and has longer for the first torque
 NEARLY: Final = 0.9  # of a stand: what comes and goes is not what keeps the car there
 NO_TORQUE_NM: Final = 1.0
 CREEP_RPM: Final = 2 * STANDING_RPM  # of a wheel: a limit of the motors below that keeps the car where it is
