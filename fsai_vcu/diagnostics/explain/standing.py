@@ -37,6 +37,7 @@ CREEP_RPM: Final = 2 * STANDING_RPM  # of a wheel: a limit of the motors below t
 PRESSED_PCT: Final = 10.0
 GIVEN_SHARE: Final = 0.5
 INSPECTIONS: Final = (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)  # in which wheels may rest
+SWEPT: Final = (*INSPECTIONS, Ami.AUTONOMOUS_DEMO)  # in which the car steers at rest, and is driving with that
 TORQUES: Final = (sig.TORQUE_F, sig.TORQUE_R)
 BRAKES: Final = (sig.BRAKE_REQ_F, sig.BRAKE_REQ_R)
 PRESSURES: Final = (sig.BRAKE_F, sig.BRAKE_R)
@@ -56,7 +57,7 @@ def stood(record: Record, begin_ns: int, end_ns: int) -> Stand | None:
     if not len(wheels):
         return None
     still = wheels.values < STANDING_RPM
-    if record.at(sig.AMI, end_ns) in INSPECTIONS:
+    if record.at(sig.AMI, end_ns) in SWEPT:
         still &= np.diff(record.series(sig.STEER).sampled(wheels.t_ns), prepend=0.0) == 0
     edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
     parts = [(int(wheels.t_ns[a]), int(wheels.t_ns[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
