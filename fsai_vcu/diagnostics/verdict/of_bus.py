@@ -321,7 +321,7 @@ class _Judge:
 
     def _is_told(self, can_id: int, since_s: float) -> bool:
         """True where a cause names the message, or what is silent with it, as missing since then."""
-        return any(can_id in _with(at) and abs(t_ns - since_s * S) <= AT_ONCE_NS for at, t_ns in self.known.told)
+        return any(_covers(at, can_id) and abs(t_ns - since_s * S) <= AT_ONCE_NS for at, t_ns in self.known.told)
 
     def _each_pause(self) -> Iterator[_Pause]:
         for message in self.bus.messages:
@@ -350,18 +350,11 @@ class _Judge:
         return Finding(finding.severity, "gap", text, both, finding.t_ns, ids, finding.channel)
 
 
-class _AllBut(frozenset[int]):
-    """Every identifier but these."""
-
-    def __contains__(self, can_id: object) -> bool:
-        return not super().__contains__(can_id)
-
-
-def _with(can_id: int | None) -> frozenset[int]:
-    """The messages that are silent with the one that a cause names: a VCU's with its status, an AI computer's five."""
-    if can_id == STATUS:
-        return _AllBut(AI_IDS)
-    return frozenset(AI_IDS if can_id == AI_IDS[0] else () if can_id is None else (can_id,))
+def _covers(named: int | None, can_id: int) -> bool:
+    """True where a message is silent with the one that a cause names: a VCU's with its status, an AI computer's five."""
+    if named == STATUS:
+        return can_id not in AI_IDS
+    return can_id in AI_IDS if named == AI_IDS[0] else can_id == named
 
 
 def _shared(pause: list[_Pause]) -> tuple[int, int]:
