@@ -72,7 +72,7 @@ def test_a_sentence_that_the_frames_deny_is_not_said() -> None:
 
 
 @pytest.mark.parametrize("edit", SHORT, ids=lambda edit: edit.name)
-def test_whatever_is_said_is_borne_out_by_the_frames_that_it_cites(edit: Edit) -> None:
+def test_every_sentence_is_borne_out_by_the_frames_it_cites(edit: Edit) -> None:
     record = Record(edit.frames(), good().run.revision.name)
     for incident in explained(record, ALWAYS).incidents:
         for one in incident.candidates:

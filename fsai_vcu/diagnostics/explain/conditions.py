@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum
 from typing import Any, Final
 
-from fsai_vcu.core.supervision.start_conditions import Moment, seen_met
+from fsai_vcu.core.supervision.start_conditions import Moment, Obstacle, seen_met
 from fsai_vcu.core.supervision.start_conditions import unmet as conditions_unmet
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS
@@ -186,3 +186,9 @@ def all_met(state: AsState, record: Record, t_ns: int) -> Candidate:
     if lacking := (*stale, *unseen):
         steps.append(ChainLink(t_ns, f"not seen: {', '.join(dict.fromkeys(lacking))}"))
     return candidate("start_unclear" if lacking else "start_unknown", Sureness.POSSIBLE, *steps)
+
+
+def sentence(one: Candidate) -> str:
+    """The cause of a refusal with what shows it, in the words of everybody who says why a car does not drive."""
+    shows = one.steps[-1 if one.slug == "start_unclear" else 0].words
+    return one.cause.words if one.slug == "start_unknown" else Obstacle(one.slug, one.cause.words, shows).sentence

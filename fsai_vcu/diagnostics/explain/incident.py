@@ -8,13 +8,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
 from fsai_vcu.interface.bus_table import BY_ID
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.explain.signals import Signal
 
 
 class Weight(IntEnum):
@@ -71,9 +68,9 @@ class Sureness(IntEnum):
 
 
 class Claim(NamedTuple):
-    """What a sentence says of a signal: in force from `begin_ns` on, and in each frame up to `end_ns`, it was so."""
+    """A sentence's value of a signal (message, name): in force at `begin_ns`, and in each frame up to `end_ns`."""
 
-    signal: Signal
+    signal: tuple[str, str]
     low: float
     high: float
     begin_ns: int

@@ -11,11 +11,12 @@ from dataclasses import replace
 
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Claim, Incident, Sureness, candidate
 from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.signals import Signal
 
 
 def holds(record: Record, claim: Claim) -> bool:
     """True where the frames say the same. Where no frame had the signal by then, they do not."""
-    series = record.series(claim.signal)
+    series = record.series(Signal(*claim.signal))
     first = series.at(claim.begin_ns)
     values = series.between(claim.begin_ns, claim.end_ns).values
     if first is None:

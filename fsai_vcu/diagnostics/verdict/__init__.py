@@ -16,12 +16,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fsai_vcu.core.supervision.start_conditions import Obstacle
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, explained
+from fsai_vcu.diagnostics.explain.conditions import sentence
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
-from fsai_vcu.diagnostics.explain.incident import ALWAYS, Candidate, Sureness, TimeRange, within
+from fsai_vcu.diagnostics.explain.incident import ALWAYS, Sureness, TimeRange, within
 from fsai_vcu.diagnostics.explain.record import REBOOT_NS, Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
@@ -370,18 +370,12 @@ def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
         )
 
 
-def _because(one: Candidate) -> str:
-    """The cause of a refusal, with what shows it, in the words of everybody who says why a car does not drive."""
-    shows = one.steps[-1 if one.slug == "start_unclear" else 0].words
-    return one.cause.words if one.slug == "start_unknown" else Obstacle(one.slug, one.cause.words, shows).sentence
-
-
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
     # Of conditions that all have to be met, each that is not is named.
     refused = incident.kind is IncidentKind.REFUSAL
     each = [one for one in incident.candidates[1:] if refused and one.sureness >= Sureness.SHOWN]
-    named = dict.fromkeys(_because(one) if refused else one.cause.words for one in (first, *each))
+    named = dict.fromkeys(sentence(one) if refused else one.cause.words for one in (first, *each))
     return Finding(
         "problem",
         incident.kind.slug,
