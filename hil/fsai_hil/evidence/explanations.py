@@ -20,7 +20,7 @@ from fsai_hil.evidence.campaign.cases import CampaignPlan, Case
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
-from fsai_hil.evidence.edited_logs import EDITS, Edit, Told, told
+from fsai_hil.evidence.edited_logs import EDITS, Edit, Told, told_at
 from fsai_hil.evidence.work import digest, followed, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind
@@ -250,7 +250,7 @@ def _halves(args: argparse.Namespace) -> Iterator[Score]:
         logs = spread(partial(explained, args.seed), numbers, args.jobs)
         yield score("a fault driven", followed(logs, "logs", count, _not_right, "not right"))
     if args.half in (2, None):
-        edited = spread(told, EDITS, args.jobs)
+        edited = spread(told_at, range(len(EDITS)), args.jobs)
         yield score("frames edited", followed(edited, "logs", len(EDITS), _edit_not_right, "not right"))
 
 
