@@ -78,8 +78,8 @@ campaign: setup-for-tests  ## strange frames for minutes, then 10,000 runs with 
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/fsai-vcu campaign --resume
 
-explanations: setup  ## logs of faults of every kind, explained from their frames; is what was wrong named?
-	$(BIN)/python -m fsai_hil.evidence.explanations
+explanations: setup  ## logs of faults of every kind, and of other cars and AI computers; is what was wrong named?
+	$(BIN)/python -m fsai_hil.evidence.explanations -o docs/evidence/explanations.md
 
 missions: setup  ## every mission, 100 seeds, every condition of the cone sensor; goes on where it was stopped
 	$(BIN)/python -m fsai_hil.evidence.missions -o docs/evidence/missions.md

@@ -350,6 +350,9 @@ def figures() -> str:
     echoes, slowest = _found(r"of (\d+) echoes it saw the slowest took ([\d.]+) ms", response)
     idle = next(line.split(" | ") for line in response.splitlines() if line.startswith("| idle |"))
     counted = [row.split(" | ") for row in re.findall(r"^\| (`\w+` \|.*)$", mutation, re.MULTILINE)]
+    told = re.findall(
+        r"^\| ([a-z ]+) \| (\d+) \| (\d+) \| \d+ \| \d+ \| (\d+) \|$", _read("explanations.md"), re.MULTILINE
+    )
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 4))
     rows = (
         (f"{runs} runs with a fault in each, {kinds} kinds of fault", f"worse than the rules allow: {worse}", "faults"),
@@ -358,6 +361,12 @@ def figures() -> str:
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
             f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a polling C loop: {idle[7]}, {idle[8]})",
             "response-time",
+        ),
+        (
+            " and ".join(f"{logs} logs with {what}" for what, logs, _, _ in told) + ", explained",
+            f"rightly: {' and '.join(right for _, _, right, _ in told)}; called OK that are not:"
+            f" {sum(int(green) for *_, green in told)}",
+            "explanations",
         ),
         (
             f"{mutants} small mistakes put into supervisor and gate",

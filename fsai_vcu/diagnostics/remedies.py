@@ -12,7 +12,7 @@ from typing import Final
 _CAR_RESTART: Final = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
 _MOVE_STEERING: Final = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
 _TURN_WHEELS: Final = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
-_SEE_FAULT: Final = "see in 0x520 which fault it is (fsai-vcu explain LOG names it), and put that right first"
+_SEE_FAULT: Final = "put the fault right that 0x520 names, then switch the car off and on"
 _SENDER: Final = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
 _BETWEEN: Final = "send a whole cycle with both at zero between torque and brake, either way"
 
@@ -29,9 +29,7 @@ REMEDIES: Final[Mapping[str, str]] = {
         "check EBS air pressure and valves (accumulators, 0x301 on 2026 cars), then power-cycle for a new EBS test"
     ),
     "offboard_charger": "unplug the charger, close its socket, power-cycle",
-    "ai_comms_lost": (
-        "check that the AI computer runs and its CAN plug sits, then the load of its processor (fsai-vcu check LOG)"
-    ),
+    "ai_comms_lost": ("check that the AI computer runs and its CAN plug sits, then the load of its processor"),
     "neutral_while_moving": (
         "keep FORWARD until all wheels have been under 10 rpm for 0.5 s; brake with 0x514, not with NEUTRAL"
     ),
@@ -46,6 +44,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     "go_off": "leave Go on for the whole run; if nobody touched it, check the remote's battery, range and receiver",
     "remote_estop": f"release it when the reason is gone; {_CAR_RESTART}",
     "radio_lost": "check the remote's battery, antenna and distance; test the range before the next run",
+    "ts_fault": "look at the battery, the HVIL and the inverters, then switch the car off and on",
+    "pushbar_in_driving": f"unplug the pushbar before a run; {_CAR_RESTART}",
     "sdc_open": (
         f"look which button is pressed, at the remote, the crash sensor and the dongle; put it right; {_CAR_RESTART}"
     ),
@@ -60,9 +60,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "not_on_the_bus": "look in the software's own log for the emergency's cause",
     "vcu_silent": "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
-    "wheels_stale": (
-        "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu check --figures LOG); else compare it with 0x526"
-    ),
+    "wheels_stale": ("check why 0x525 stopped: VCU, wiring, bus load; else compare it with 0x526"),
     "steering_stale": "check why 0x523 stopped: steering controller, VCU, wiring",
     "steering_implausible": _MOVE_STEERING,
     "wheel_implausible": _TURN_WHEELS,
@@ -100,25 +98,32 @@ REMEDIES: Final[Mapping[str, str]] = {
     "ai_message_missing": "send all five of 0x510 to 0x514 every 10 ms: ten missing in a row stop the car",
     "ai_message_length": "send 0x510 with 8 bytes, 0x511 and 0x512 with 4, 0x513 and 0x514 with 2",
     "handshake_lost": "send back in 0x510 the HANDSHAKE bit of the last 0x520, in every cycle",
+    "echo_wrong": "send back in 0x510 the HANDSHAKE bit of the newest 0x520 as it is, in every cycle",
+    "handshake_stands": "check the VCU's CAN plug and its wiring; if it happens again have its software looked at",
+    "ai_bus_off": (
+        "look what makes its frames fail: its CAN plug, termination, bit rate, another node with the same ids; have it"
+        " restart its interface by itself (ip link set can0 type can restart-ms 100)"
+    ),
     "ai_unheard": (
         "the fault lies between this log's plug and the VCU: wiring, termination, the VCU's own plug; where the"
         " VCU is simulated, its computer may have been too busy"
     ),
     "not_selected_simulator": "keep RUNNING while driving, then FINISHED at rest",
     "not_driven": (
-        "see what the planner says: lost and why, no cones, no path among them, or another mission than this track's "
-        "(fsai-vcu status: why not driving)"
+        "see what the planner says: lost and why, no cones, no path among them, or another mission than this track's"
     ),
     "stop_asked": "look in the software's own log for the stop's cause",
     "power_off": "switch off in the order ASMS, TSMS, LVMS, after the car has stopped",
     "no_ai_data": "start the bridge on this bus (2021: AIMS on), and check its CAN plug",
     "ai_data_incomplete": "send all five of 0x510 to 0x514 every 10 ms: the VCU waits for valid data",
-    "link_lost": "see the handshake and gaps above; fsai-vcu check LOG measures them",
+    "link_lost": "look at the AI computer's echo of HANDSHAKE, and at the periods of 0x510 to 0x514",
     "asms": "turn ASMS on",
     "tsms": "turn TSMS on",
+    "pushbar": "unplug the pushbar and switch the car off and on",
+    "charging": "end charging, unplug, and switch the car off and on",
     "ts_not_running": "check TSMS, the shutdown circuit (E-stops, dongle, remote) and the battery",
     "ebs_not_armed": "check the shutdown circuit (E-stops, dongle, remote) and the EBS air pressure; ASMS must be on",
-    "status_not_selected": "fsai-vcu status says what it waits for; fsai-vcu mode autonomous",
+    "status_not_selected": "fsai-vcu mode autonomous; then see which of planner and controller does not confirm",
     "status_running": "send SELECTED in AS_OFF and AS_READY, and RUNNING only once AS_DRIVING is seen",
     "status_finished": "reset the mission state in AS_OFF and say SELECTED",
     "estop_latched": "clear it by /reset in AS_OFF, after its cause is gone",
@@ -141,12 +146,33 @@ REMEDIES: Final[Mapping[str, str]] = {
     "no_go": "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)",
     "go_too_early": "Go off, wait until the ASSI shows yellow and blue, Go on again",
     "given_up": "turn ASMS on to start anew",
+    "go_not_taken": "check the remote's receiver and its wiring to the VCU; then the VCU's own reading of it",
+    "mission_changed": "leave the display alone once the car is in AS_READY; wait for AS_READY of the new mission",
+    "deselected": "keep SELECTED in 0x510 until AS_DRIVING is seen",
+    "start_unclear": "look at the display and the ASSI; record both directions of the bus",
     "start_unknown": "look at the display and the ASSI; EBS test and shutdown circuit are not all on the bus",
     "status_length": "compare the VCU's interface revision with the database",
     "no_as_state": "use the car's own (no --dbc), or --revision",
     "torque_not_given": (
         "check inverter and motor faults and the tractive system's voltage; compare TRQ_MAX in 0x521 and 0x522"
     ),
+    "torque_limit_zero": (
+        "look at the inverters and the tractive system (TS_STATE, HVIL, motor temperature): they allow no torque"
+    ),
+    "neutral_in_driving": "say FORWARD in 0x510 once AS_DRIVING is seen, before the first torque",
+    "never-running": "say RUNNING as soon as AS_STATE is AS_DRIVING, and not before",
+    "speed_limit_zero": "send with the torque the speed up to which the motors may give it: 4000 rpm at most",
+    "torque-brake": _BETWEEN,
+    "axle": "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0",
+    "brake_held": (
+        "see what the planner waits for: it holds the car with the brake; no cones, no path, or another mission"
+    ),
+    "no_torque_asked": "see what planner and controller say: no path, speed 0, or the mission's end",
+    "finished_not_taken": "turn ASMS off to end the run; else see why the VCU does not read 0x510",
+    "stands": "look at the car: brakes, drive shafts, what the display says; record both directions from power-up on",
+    "derated_hot": "let the battery cool; until then ask for no more than AXLE_TRQ_MAX",
+    "derated_empty": "charge the battery; until then ask for no more than AXLE_TRQ_MAX",
+    "derated": "ask for no more than AXLE_TRQ_MAX, and look why the car allows so little: inverter, motor, battery",
     "torque_unasked": (
         "do not drive: press an E-stop, then have inverter and torque request looked at with the car on stands"
     ),
@@ -157,6 +183,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "brake_unasked": "check that the EBS is not triggered, and the pressure sensors and valves",
     "steering_not_following": _MOVE_STEERING,
     "wheel_unlike": _TURN_WHEELS,
+    "wheels_swapped": "turn each wheel by hand and compare 0x525: plugs of left and right; or the sign of 0x523",
     # Kinds of findings on a log (verdict/)
     "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
     "missing": _SENDER,
@@ -170,16 +197,10 @@ REMEDIES: Final[Mapping[str, str]] = {
     "reserved": "end the program on this computer that sends it",
     "period": "see whether --revision is the car's, whether somebody else sends it too, or its sender is held up",
     "second_car": "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus",
-    "lossy": (
-        "look why: the recording computer is too slow, the bus too full, or it has errors"
-        " (fsai-vcu check --figures LOG)"
-    ),
+    "lossy": ("look why: the recording computer is too slow, the bus too full, or it has errors"),
     "recorder": "look whether the recording computer was held up",
     "steering-sign": "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523",
-    "axle": "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0",
-    "never-running": "say RUNNING as soon as AS_STATE is AS_DRIVING, and not before",
     "one-call": _BETWEEN,
-    "torque-brake": _BETWEEN,
 }
 
 _THEIRS: Final[Mapping[str, str]] = {
@@ -196,6 +217,8 @@ _THEIRS: Final[Mapping[str, str]] = {
     ),
     "stop_asked": "look in the log of your AI computer why it stopped the car",
     "not_driven": "see in the log of your AI computer what it waits for, and whether its mission is the car's",
+    "brake_held": "see in the log of your AI computer why it holds the car with the brake",
+    "no_torque_asked": "see in the log of your AI computer why it steers and does not drive",
     "no_ai_data": "start your AI computer on this bus (2021: AIMS on), and check its CAN plug",
     "status_not_selected": "have your AI computer say SELECTED once it has the mission of AMI_STATE and is ready",
     "estop_latched": "have your AI computer take ESTOP_REQUEST back in AS_OFF, after its cause is gone",

@@ -407,6 +407,8 @@ OTHERWISE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "asms": ({"status": {"as_switch": False}}, "ASMS is off (AS_SWITCH_STATUS 0)"),
     "tsms": ({"status": {"ts_switch": False}}, "TSMS is off (TS_SWITCH_STATUS 0)"),
+    "pushbar": ({"status": {"op_state": OpState.OP_PUSHBAR}}, WORDS["pushbar"]),
+    "charging": ({"status": {"op_state": OpState.OP_CHARGE}}, WORDS["charging"]),
     "shutting_down": ({"status": {"shutdown_request": True}}, "the car asks for shutdown (SHUTDOWN_REQUEST)"),
     "link_lost": ({"status": {"faults": Faults(ai_comms_lost=True)}}, LOST),
     "fault": (
@@ -452,7 +454,7 @@ OTHERWISE: dict[str, tuple[dict[str, Any], str]] = {
             "status_frozen": (
                 "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen"
             ),
-            "no_ai_data": "no message of the AI computer has come: tractive system and EBS wait for it",
+            "no_ai_data": "no message of the AI computer comes: tractive system and EBS wait for it",
             "ai_data_incomplete": "not all five messages of the AI computer come",
             "power_cycle": "the car has not been switched off since its last run",
             "ready_not_selected": (
@@ -512,7 +514,7 @@ def test_in_which_states_a_condition_is_of_interest() -> None:
             "ready_not_selected",
         },
         "DRIVING": {"go_off"},
-        "OFF, READY": {"status_frozen", "no_ai_data"},
+        "OFF, READY": {"status_frozen", "no_ai_data", "pushbar", "charging"},
         "READY, DRIVING": HINTS,
         "any": {
             "asms",
@@ -544,7 +546,7 @@ def test_what_waits_for_another_condition_follows_it(condition: Any) -> None:
 
 def test_what_must_be_put_right_before_a_condition() -> None:
     link = {"no_ai_data", "ai_data_incomplete", "link_lost"}
-    power = {*link, "tsms", "power_cycle", "fault", "shutting_down"}
+    power = {*link, "tsms", "pushbar", "charging", "power_cycle", "fault", "shutting_down"}
     assert {one.slug: set(one.after) for one in CONDITIONS if one.after} == {
         "shutting_down": {"tsms"},
         "link_lost": {"no_ai_data", "ai_data_incomplete"},

@@ -254,7 +254,7 @@ ENDS = [
     End("0x512 has a wrong length", driving, spoil(WrongLength(frozenset({0x512}), 3)), "ai_message_length"),
     End("the bridge is killed", driving, kill_bridge, "ai_silent"),
     End("the bridge is killed in AS_READY", ready, kill_bridge, "ai_silent"),
-    End("bus-off", driving, bus_off, "bus_lost"),
+    End("bus-off", driving, bus_off, "ai_bus_off"),
     End("the echo is frozen", driving, spoil(Freeze(frozenset({0x510}))), "handshake_lost", near_ns=EDGES),
     End("the VCU does not hear 0x514", driving, vcu_misses(0x514), "ai_unheard", near_ns=(0, 130 * MS)),
     End("0x520 repeats itself", driving, status_repeats_itself_for_400_ms, "status_frozen", near_ns=EDGES),

@@ -110,6 +110,12 @@ OURS = re.compile(
 
 
 @pytest.mark.parametrize("slug", REMEDIES)
+def test_no_remedy_sends_to_a_verb_that_says_it(slug: str) -> None:
+    for theirs in (False, True):
+        assert not re.search(r"fsai-vcu (check|explain|status|monitor|report|compare)", remedy_of(slug, theirs=theirs))
+
+
+@pytest.mark.parametrize("slug", REMEDIES)
 def test_of_another_program_no_remedy_names_this_softwares_parts(slug: str) -> None:
     theirs, ours = remedy_of(slug, theirs=True), remedy_of(slug)
     assert not OURS.search(theirs)

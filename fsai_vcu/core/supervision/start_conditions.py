@@ -68,7 +68,7 @@ class Obstacle(Value, frozen=True):
     @property
     def sentence(self) -> str:
         """The words, and the evidence where they do not name it already."""
-        signal = self.evidence.partition(" is ")[0]
+        signal = self.evidence.partition(" ")[0]
         named = (self.evidence, self.evidence.replace(" is ", " "), f"({signal}", f"{signal}:")
         return self.words if any(part in self.words for part in named) else f"{self.words} ({self.evidence})"
 
@@ -93,13 +93,23 @@ class Condition(Value, frozen=True):
         """While the condition is not met: the field that shows it (none of history), and its value in words."""
         if not self.sources:
             return ("", moment.history[self.slug]) if self.slug in moment.history else None
-        for source in self.sources:
-            value = _value(moment, source)
-            if value is not None:
-                if self.wanted(value):
-                    return None
-                return source, f"{SIGNAL_OF[source]} is {_label(value)}{_more(moment, source)}"
-        return None
+        known = self._known(moment)
+        if known is None or self.wanted(known[1]):
+            return None
+        source, value = known
+        return source, f"{SIGNAL_OF[source]} is {_label(value)}{_more(moment, source)}"
+
+    def met(self, moment: Moment) -> tuple[str, str] | None:
+        """The field that shows the condition as met, and its value in words; None where that is not seen."""
+        known = self._known(moment)
+        if known is None or not self.wanted(known[1]):
+            return None
+        return known[0], f"{SIGNAL_OF[known[0]]} is {_label(known[1])}"
+
+    def _known(self, moment: Moment) -> tuple[str, Any] | None:
+        """The first field that is known, and its value."""
+        values = ((source, _value(moment, source)) for source in self.sources)
+        return next((known for known in values if known[1] is not None), None)
 
 
 def _value(moment: Moment, source: str) -> Any:
@@ -141,6 +151,7 @@ def _more(moment: Moment, source: str) -> str:
 
 
 _LINK: Final = ("no_ai_data", "ai_data_incomplete", "link_lost")
+_BEFORE_POWER: Final = ("tsms", "pushbar", "charging", "power_cycle", "fault", "shutting_down")
 _ANY: Final = OFF | READY | DRIVING
 
 CONDITIONS: Final[tuple[Condition, ...]] = (
@@ -149,7 +160,7 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
         "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen",
         OFF | READY,
     ),
-    Condition("no_ai_data", "no message of the AI computer has come: tractive system and EBS wait for it", OFF | READY),
+    Condition("no_ai_data", "no message of the AI computer comes: tractive system and EBS wait for it", OFF | READY),
     Condition("ai_data_incomplete", "not all five messages of the AI computer come", OFF),
     Condition("power_cycle", "the car has not been switched off since its last run", OFF),
     *(
@@ -178,6 +189,20 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
     ),
     Condition("asms", "ASMS is off (AS_SWITCH_STATUS 0)", _ANY, ("status.as_switch",)),
     Condition("tsms", "TSMS is off (TS_SWITCH_STATUS 0)", _ANY, ("status.ts_switch",)),
+    Condition(
+        "pushbar",
+        "the car is moved by the pushbar (OP_STATE OP_PUSHBAR), and does not start so",
+        OFF | READY,
+        ("status.op_state",),
+        lambda state: state is not OpState.OP_PUSHBAR,
+    ),
+    Condition(
+        "charging",
+        "the car is charged (OP_STATE OP_CHARGE), and does not start so",
+        OFF | READY,
+        ("status.op_state",),
+        lambda state: state is not OpState.OP_CHARGE,
+    ),
     Condition(
         "shutting_down",
         "the car asks for shutdown (SHUTDOWN_REQUEST)",
@@ -243,7 +268,7 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
         _ANY,
         ("status.ts_state",),
         lambda state: state is TsState.TS_RUNNING,
-        after=(*_LINK, "tsms", "power_cycle", "fault", "shutting_down"),
+        after=(*_LINK, *_BEFORE_POWER),
     ),
     Condition(
         "ebs_not_armed",
@@ -251,7 +276,7 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
         _ANY,
         ("status.ebs_state", "brake.ebs_status"),
         lambda state: state in (EbsState.EBS_ARMED, EbsStatus.ARMED),
-        after=(*_LINK, "asms", "tsms", "power_cycle", "fault", "shutting_down", "ts_not_running"),
+        after=(*_LINK, "asms", *_BEFORE_POWER, "ts_not_running"),
     ),
     Condition(
         "steering_inactive",
@@ -295,6 +320,21 @@ def unmet(moment: Moment, state: AsState) -> tuple[tuple[Condition, str, str, bo
             found.setdefault(condition.slug, (condition, *shown))
     rows = ((*row, row[0].hint or not found.keys().isdisjoint(row[0].after)) for row in found.values())
     return tuple(sorted(rows, key=lambda row: row[3]))
+
+
+def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str, ...]]:
+    """The fields that show a condition of that state as met, each with its value in words; and the signals of
+    conditions of which nothing is seen. Hints, and what only earlier frames show, are neither."""
+    shown: dict[str, str] = {}
+    unseen: dict[str, None] = {}
+    for condition in CONDITIONS:
+        if state in condition.states and condition.sources and not condition.hint:
+            met = condition.met(moment)
+            if met is not None:
+                shown[met[0]] = met[1]
+            elif condition.evidence(moment) is None:
+                unseen |= dict.fromkeys(SIGNAL_OF[source] for source in condition.sources)
+    return shown, tuple(unseen)
 
 
 def why_not_driving(moment: Moment) -> Iterator[Obstacle]:

@@ -29,7 +29,8 @@ from fsai_vcu.diagnostics.explain.incident import (
     TimeRange,
     within,
 )
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.proof import proved
+from fsai_vcu.diagnostics.explain.record import GONE_NS, Record
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
@@ -39,6 +40,9 @@ from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
 
+OF_A_STAND: Final = frozenset(
+    ("torque_not_given", "no_motion", "brake_unasked", "derated", "derated_hot", "derated_empty")
+)
 SEPARATE: Final = 5  # of a kind and cause are told one by one
 MOST_INCIDENTS: Final = 100  # of a kind: a log with more is none of a car
 _TOO_MANY: Final = (
@@ -60,6 +64,7 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
         for incident in kind[:MOST_INCIDENTS]
         if not any(car.begin_ns <= incident.t_ns <= car.end_ns for car in mixed)
     ]
+    incidents = [proved(record, one) for one in incidents]
     incidents = [one for one in incidents if not any(_told_by(other, one) for other in incidents)]
     if record.ai_is_theirs:
         incidents = [_of_theirs(incident) for incident in incidents]
@@ -88,7 +93,13 @@ def _of_theirs(incident: Incident) -> Incident:
 
 
 def _told_by(other: Incident, one: Incident) -> bool:
-    """Whether what the car does not do as asked is the cause of the other: an AI computer that watches it reacts."""
+    """True where the other tells the same: what the car does not do as asked is why an AI computer stops it, and why it
+    stands; a stand is why somebody ends it."""
+    if one.kind is IncidentKind.MISMATCH and other.kind is IncidentKind.STAND:
+        return one.candidates[0].slug in OF_A_STAND and one.begin_ns <= other.end_ns and other.begin_ns <= one.end_ns
+    if one.kind is IncidentKind.STAND:
+        same = other.kind is IncidentKind.EMERGENCY and other.candidates[0].slug == one.candidates[0].slug
+        return same and one.begin_ns <= other.t_ns <= one.end_ns + GONE_NS
     if one.kind is not IncidentKind.MISMATCH or other.kind is IncidentKind.MISMATCH:
         return False
     causes = (other.candidates[0].cause, one.candidates[0].cause)
@@ -128,11 +139,15 @@ def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:
         low_ns, high_ns = max(part_ns[0], record.begin_ns), min(part_ns[1], record.end_ns)
         low_s, high_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (low_ns, high_ns))
         yield f"what is told is of the part from {low_s:.3f} s to {high_s:.3f} s; causes may lie before it"
-    if STATUS in record.wrong_length and not record.has(STATUS):
+    short = {can_id: record.wrong_length[can_id] for can_id in (STATUS, *AI_IDS) if record.never_right(can_id)}
+    if STATUS in short:
         yield "every 0x520 of this log has the wrong length: there is no AS state, switch or fault to tell of"
     elif record.lacks(STATUS):
         yield "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
-    absent = [f"0x{can_id:03X}" for can_id in AI_IDS if record.lacks(can_id)]
+    for can_id, wrong in short.items():
+        if can_id != STATUS:
+            yield f"every 0x{can_id:03X} of this log has {wrong.words}: what it says is not known"
+    absent = [f"0x{can_id:03X}" for can_id in AI_IDS if record.lacks(can_id) and can_id not in short]
     if len(absent) == len(AI_IDS):
         yield "no frame of the AI computer (0x510 to 0x514): what it asked for is not known"
     elif absent:

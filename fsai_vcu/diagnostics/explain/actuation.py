@@ -5,7 +5,7 @@ Each check is a mask over the drive's cycles; one that holds for long enough is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,11 +16,13 @@ from fsai_vcu.diagnostics.explain.incident import ALWAYS, Incident, IncidentKind
 from fsai_vcu.diagnostics.explain.record import Record, Values
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
+from fsai_vcu.interface.enums import Direction, MissionStatus
 from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S, ms
 
 TORQUE_NM: Final = 20.0  # less is within what a motor's own estimate is off
-TORQUE_SHARE: Final = 0.3
+TORQUE_SHARE: Final = 0.7  # of what is asked for, allowed by TRQ_MAX, and within the motors' power
+LIMIT_SHARE: Final = 0.7  # of what is asked for: a car that allows less is derated
 BRAKE_PCT: Final = 20.0
 BRAKE_SHARE: Final = 0.4
 STEER_DEG: Final = 4.0
@@ -30,9 +32,23 @@ TORQUE_TIME_NS: Final = 300 * MS  # so long after a request at the latest the ac
 BRAKE_TIME_NS: Final = 500 * MS
 STEER_TIME_NS: Final = 1500 * MS  # … lock to lock at 40 deg/s, and its dead time
 START_TIME_NS: Final = 2 * S
+WARNED_SHARE: Final = 0.5
 FRESH_NS: Final = 50 * MS
+AGAINST_TIME_NS: Final = 100 * MS  # … and turned round
+TURN_DEG: Final = 4.0  # less is no turn that wheel speeds tell from a straight
+TURN_RPM: Final = 60.0
+TURN_SHARE: Final = 0.4  # of the difference that the turn makes between left and right
 LASTING_NS: Final = 500 * MS
+LESS_LASTING_NS: Final = 1 * S
+UNASKED_LASTING_NS: Final = 300 * MS
+TURN_LASTING_NS: Final = 2 * S
 BRAKE_LASTING_NS: Final = 200 * MS
+
+
+_NO_DRIVE: Final = (
+    (float(Direction.NEUTRAL),),
+    (float(MissionStatus.NOT_SELECTED), float(MissionStatus.SELECTED)),
+)
 
 
 @dataclass(frozen=True)
@@ -49,18 +65,24 @@ class Mismatch:
 
 
 def mismatches(record: Record, part_ns: TimeRange = ALWAYS) -> Iterator[Incident]:
-    """Where the car did not do what it was asked, in each stay in AS_DRIVING: of what touches that time the longest."""
+    """Where the car did not do what it was asked, in each stay in AS_DRIVING: of what touches that time the longest.
+
+    Motors that nobody asked are told in every state.
+    """
     for span in record.series(sig.AS_STATE).spans:
         times = record.times(0x513)
         low, high = np.searchsorted(times, (span.begin_ns, span.end_ns + 1))
         times = times[low:high]
-        if span.value != sig.DRIVING or len(times) <= STEER_TIME_NS // PERIOD_NS:
+        if len(times) <= STEER_TIME_NS // PERIOD_NS:
             continue
+        driving = span.value == sig.DRIVING
         awake = np.ones(len(times), np.bool_)
         for frozen in record.frozen:  # whether the car still drives is not known
             awake &= (times < frozen.begin_ns) | (times > frozen.end_ns)
         seen: dict[str, Incident] = {}  # an axle that does not do it is enough
         for one in _all(record, times):
+            if not driving and one.slug != "torque_unasked":
+                continue
             known = [awake, *(_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0]))]
             stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times, part_ns)
             if stretch is not None:
@@ -103,22 +125,36 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     fastest = wheels.max(axis=0)
     braked = np.maximum(column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)) > 0
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
+    # Of one who says NEUTRAL, or not RUNNING, no torque is to be expected: standing.py names that.
+    meant = ~np.isin(column(sig.DIRECTION), _NO_DRIVE[0]) if len(record.series(sig.DIRECTION)) else ~braked
+    if len(record.series(sig.MISSION_STATUS)):
+        meant &= ~np.isin(column(sig.MISSION_STATUS), _NO_DRIVE[1])
     given_sum = np.zeros(len(times))
+    curve_rpm, curve_nm = np.array(car.torque_curve_rpm_nm).T
     for axle, driven, asked_signal, limit_signal, given_signal, max_signal in (
         ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, sig.CAR_TORQUE[0], sig.CAR_TORQUE_MAX[0]),
         ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, sig.CAR_TORQUE[1], sig.CAR_TORQUE_MAX[1]),
     ):
         if not driven:
             continue
-        asked, given = column(asked_signal), column(given_signal)
+        asked, given, most = column(asked_signal), column(given_signal), column(max_signal)
         given_sum += given
-        free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
-        low, _ = _range(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
-        _, high = _range(asked, TORQUE_TIME_NS)
+        motor_rpm = fastest * car.gear_ratio
+        free = (motor_rpm < 0.9 * column(limit_signal)) & ~braked & meant
+        possible = np.minimum(np.minimum(asked, most), np.interp(motor_rpm, curve_rpm, curve_nm))
+        low, _ = _range(np.where(free, possible, 0.0), TORQUE_TIME_NS)
+        wanted, high = _range(asked, TORQUE_TIME_NS)
         words = f"{axle} torque: {{:.1f}} Nm asked for, {{:.1f}} Nm measured"
-        less, more = (low > TORQUE_NM) & (given < TORQUE_SHARE * low), given > high + TORQUE_NM
-        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words, (asked, given))
-        yield Mismatch("torque_unasked", given_signal, asked_signal, more, words, (asked, given))
+        less = (low > TORQUE_NM) & (given < TORQUE_SHARE * low)
+        more = given > high + TORQUE_NM
+        against = given < -(_range(asked, AGAINST_TIME_NS)[1] + TORQUE_NM)  # above MOTOR_SPEED_MAX it brakes by as much
+        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words, (asked, given), LESS_LASTING_NS)
+        yield Mismatch(
+            "torque_unasked", given_signal, asked_signal, more | against, words, (asked, given), UNASKED_LASTING_NS
+        )
+        allows = f"{max_signal.name} is {{:.1f}} Nm, and {{:.1f}} Nm are asked for"
+        held = free & (wanted - most > TORQUE_NM) & (most < LIMIT_SHARE * wanted)
+        yield from _derated(column, held, Mismatch("derated", max_signal, asked_signal, held, allows, (most, asked), S))
     pushed, _ = _range(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
@@ -144,6 +180,17 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     off[: STEER_TIME_NS // PERIOD_NS] = False
     words = "steering: {:.1f} deg asked for, {:.1f} deg measured"
     yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words, (asked, angle))
+    # In a turn the outer wheels are the faster ones; positive angles turn left.
+    turn = np.tan(np.radians(angle)) * car.track_m / car.wheelbase_m
+    for axle, left, right in (("front", 0, 1), ("rear", 2, 3)):
+        mean = (wheels[left] + wheels[right]) / 2
+        outer = (wheels[right] - wheels[left]) * np.sign(angle)
+        turning = (np.abs(angle) >= TURN_DEG) & (mean >= TURN_RPM) & (angle * asked > 0)
+        swapped = turning & (outer < -TURN_SHARE * np.abs(turn) * mean)
+        names = " and ".join(f"{sig.WHEEL_NAMES[wheel]} {{:.0f}}" for wheel in (left, right))
+        words = f"{axle} wheels in a turn of {{:.1f}} deg (positive: left): {names} rpm"
+        values = (angle, wheels[left], wheels[right])
+        yield Mismatch("wheels_swapped", sig.WHEELS[left], sig.ANGLE, swapped, words, values, TURN_LASTING_NS)
     for number, name in enumerate(sig.WHEEL_NAMES):
         others = np.sort(np.delete(wheels, number, axis=0), axis=0)
         middle = others[1]
@@ -151,6 +198,16 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
         unlike = (np.abs(wheels[number] - middle) > allowed) & (others[2] - others[0] <= allowed)
         words = f"{name} at {{:.0f}} rpm, the others at {{:.0f}} rpm"
         yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words, (wheels[number], middle))
+
+
+def _derated(column: Callable[[Signal], Values], held: Mask, one: Mismatch) -> Iterator[Mismatch]:
+    """The car allows less torque than is asked for; why, where it warns."""
+    for slug, warning in (("derated_hot", sig.WARNINGS[0]), ("derated_empty", sig.WARNINGS[1])):
+        warned = held & (column(warning) != 0)
+        if held.any() and warned.sum() >= WARNED_SHARE * held.sum():
+            yield replace(one, slug=slug, holds=held, words=f"{one.words}; {warning.name} is 1")
+            return
+    yield one
 
 
 def _range(values: Values, over_ns: int) -> tuple[Values, Values]:

@@ -59,6 +59,10 @@ _RECORD: Final[Mapping[str, str]] = {
     "stop_asked": _TEAM_LOG,
     "status_not_selected": "fsai-vcu status beside the log",
     "start_unknown": "0x120 (2021), 0x181, 0x301 and 0x302 (2026), from power-up on",
+    "start_unclear": "both directions (0x510-0x514 and 0x520-0x526), from power-up on",
+    "handshake_stands": "a log taken at the VCU's end of the bus",
+    "torque_limit_zero": "the VCU's and the inverters' own logs",
+    "stands": "both directions (0x510-0x514 and 0x520-0x526), from power-up on",
 }
 """What to record next time."""
 
@@ -80,6 +84,8 @@ _OWN: Final[Mapping[str, str]] = {
     "tsms_off": "TSMS was turned off: the tractive system shuts down and the EBS goes",
     "remote_estop": "the E-stop of the remote was pressed",
     "radio_lost": "the remote's radio was lost",
+    "ts_fault": "the tractive system failed (TS_STATE TS_FAULT)",
+    "pushbar_in_driving": "the car was put into pushbar mode (OP_STATE OP_PUSHBAR) while it was driving",
     "sdc_open": (
         "the shutdown circuit (SDC) was opened by something that the bus does not name: an E-stop button on the "
         "car, the remote's E-stop or its radio, the crash sensor, or the autonomous dongle"
@@ -98,13 +104,26 @@ _OWN: Final[Mapping[str, str]] = {
     "vcu_hung": "the VCU itself stood still: it sent nothing and received nothing",
     "frames_wrong": "0x520 showed a state that the car cannot have been in",
     "ai_silent": "the AI computer fell silent: none of its five messages came any more",
+    "ai_bus_off": "the AI computer's CAN adapter went bus-off (an error frame says so), and others went on",
     "ai_message_missing": "one of the AI computer's five messages was missing",
     "ai_message_length": "a message of the AI computer had the wrong length, which the VCU takes for missing",
     "handshake_lost": "the AI computer did not echo the handshake within 100 ms",
+    "echo_wrong": "the AI computer sent back another HANDSHAKE bit than the last 0x520 had",
+    "handshake_stands": "HANDSHAKE of 0x520 stood still though its echo came: the VCU hung, or does not hear the echo",
     "ai_unheard": "the AI computer's messages are in this log, but the VCU did not receive them all",
     "not_selected_simulator": (
         "MISSION_STATUS became NOT_SELECTED, which this VCU (like the official simulator) takes as AS_OFF at once"
     ),
+    "torque_limit_zero": "the car allows no torque: AXLE_TRQ_MAX of 0x521 and 0x522 is 0",
+    "neutral_in_driving": "the AI computer says NEUTRAL (DIRECTION_REQUEST) while it asks for torque",
+    "never-running": "the AI computer never says RUNNING: MISSION_STATUS stays as it was in AS_READY",
+    "speed_limit_zero": "the AI computer asks for torque and limits the motors' speed to nothing (MOTOR_SPEED_MAX)",
+    "torque-brake": "the AI computer asks for torque and brake together",
+    "axle": "the torque is asked of an axle that has none to give",
+    "brake_held": "the AI computer holds the brake and asks for no torque",
+    "no_torque_asked": "the AI computer steers and asks for no torque",
+    "finished_not_taken": "the AI computer says FINISHED at rest, and the car does not take it",
+    "stands": "the frames do not show why",
     "not_driven": "the car stands in AS_DRIVING; nothing was asked of it",
     "stop_asked": (
         "nothing on the bus explains it: manual mode was asked for, or this software's own supervision stopped the car"
@@ -113,16 +132,24 @@ _OWN: Final[Mapping[str, str]] = {
     "no_go": "Go was not given",
     "go_too_early": "Go came before 5 s in AS_READY had passed",
     "given_up": "ASMS was turned off in AS_READY: the start was given up",
+    "mission_changed": "the mission was changed on the AMI in AS_READY",
+    "deselected": "MISSION_STATUS left SELECTED in AS_READY",
+    "go_not_taken": "Go was pressed on the remote (0x181), and 0x520 does not show it (GO_SIGNAL 0)",
     "start_unknown": "every condition that the bus shows was met, and yet the car did not go on",
+    "start_unclear": "what the bus shows of the conditions was met, but not all of them were seen",
     "status_length": "0x520 has the wrong length: it counts as missing",
     "no_as_state": "the database has no AS_STATE in 0x520",
     "torque_not_given": "the motors do not give the torque that is asked for",
+    "derated_hot": "the car limits its torque, and warns that its battery is hot (WARN_BATT_TEMP_HIGH)",
+    "derated_empty": "the car limits its torque, and warns that its battery is empty (WARN_BATT_SOC_LOW)",
+    "derated": "the car limits its torque to less than is asked for (AXLE_TRQ_MAX), and gives no warning",
     "torque_unasked": "the motors give torque that nobody asks for",
     "no_motion": "torque is given and no wheel turns",
     "brake_not_following": "the brake pressure does not come as asked",
     "brake_unasked": "there is brake pressure that nobody asks for",
     "steering_not_following": "the steering does not go where it is asked to",
     "wheel_unlike": "one wheel's speed is unlike the others'",
+    "wheels_swapped": "left and right wheel speeds are exchanged: in a turn the inner wheel reads faster",
 }
 
 _WORDS: Final[Mapping[str, str]] = {**{reason.slug: reason.words for reason in Reason}, **WORDS, **_OWN}

@@ -17,7 +17,15 @@ import numpy as np
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
-from fsai_vcu.diagnostics.explain.evidence import CONFIG, GONE_NS, SLACK_NS, found_before, gap_at, link_losses
+from fsai_vcu.diagnostics.explain.evidence import (
+    CONFIG,
+    SLACK_NS,
+    accumulators,
+    found_before,
+    gap_at,
+    link_losses,
+    sag,
+)
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
     ChainLink,
@@ -28,12 +36,24 @@ from fsai_vcu.diagnostics.explain.incident import (
     ranked,
     shown,
 )
-from fsai_vcu.diagnostics.explain.record import DEAD_NS, Gap, Record, Series, Span
+from fsai_vcu.diagnostics.explain.record import DEAD_NS, GONE_NS, REBOOT_NS, Gap, Record, Series, Span
 from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.explain.standing import INSPECTIONS, Stand, causes, last_ns, stands, stood
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
+from fsai_vcu.interface.enums import (
+    OFF_LIKE,
+    Ami,
+    AsState,
+    Direction,
+    EbsState,
+    EbsStatus,
+    MissionStatus,
+    OpState,
+    TsState,
+)
+from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S, ms
 
@@ -42,12 +62,11 @@ JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this
 BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
 REMOTE_LATE_NS: Final = 20 * MS  # its receiver sends every 10 ms, perhaps after the car's own change of state
-REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
-IDLE_NS: Final = 8 * S  # 3 s of standing still, and as long again for the first torque
-INSPECTIONS: Final = (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)  # in which wheels may rest
+AT_FIRST_NS: Final = 20 * MS  # a fault bit that rises later than the state did not bring it about
+STOOD_NS: Final = COMMS_LOST_NS - 20 * MS  # a HANDSHAKE that stands for so long is no answer that is late
 NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 
@@ -88,6 +107,7 @@ def _emergency(record: Record, span: Span) -> Incident:
     if not reported:
         candidates += _unreported(record, t_ns) if driven else []
         losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
+        losses += _still(record, t_ns, Sureness.FITS) if driven and not losses else []
         candidates += [one for one in losses if t_ns - one.t_ns <= BEHIND_NS]
         candidates += _simulators_brake(record, t_ns)
     candidates += _impossible(span)
@@ -112,9 +132,11 @@ def _marks(record: Record, one: Candidate) -> list[ChainLink]:
 
 
 def _reported(record: Record, span: Span) -> dict[str, Sureness]:
-    """The causes that the car names itself, the surest first."""
+    """The causes that the car names itself, the surest first; of bits that follow one another those of the first."""
     t_ns = span.begin_ns
     until_ns = min(t_ns + AROUND_NS, span.end_ns)
+    if any(record.at(signal, t_ns + AT_FIRST_NS) for signal in (sig.SHUTDOWN_CAUSE, *sig.FAULTS)):
+        until_ns = min(until_ns, t_ns + AT_FIRST_NS)
     reported: dict[str, Sureness] = {}
     value = int(record.at(sig.SHUTDOWN_CAUSE, until_ns) or 0)
     slugs = {int(cause): slug for cause, slug in SHUTDOWN.items()}
@@ -123,7 +145,7 @@ def _reported(record: Record, span: Span) -> dict[str, Sureness]:
     for signal in sig.FAULTS:
         series = record.series(signal)
         if series.at(until_ns):
-            rose = any(s.value for s in series.begun(t_ns - AROUND_NS, t_ns + AROUND_NS))
+            rose = any(s.value for s in series.begun(t_ns - AROUND_NS, until_ns))
             sureness = Sureness.SAID if rose or span.before is None else Sureness.FITS
             reported.setdefault(FAULT_BITS[signal.name], sureness)
     return reported
@@ -156,14 +178,24 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
     # Who asked is reported by the car; why, by the frames before.
     if roots := found_before(record, first.begin_ns, drive_ns, emergency=True):
         return list(ranked(candidate(root.slug, sureness, *root.steps, request) for root in roots))
-    if stood := idle(record, drive_ns, first.begin_ns):
-        return [candidate("not_driven", sureness, stood, request)]
+    stand = stood(record, drive_ns, first.begin_ns) if drive is not None else None
+    if stand is not None and first.begin_ns - stand.end_ns <= GONE_NS:
+        return list(ranked(candidate(one.slug, sureness, *one.steps, request) for one in causes(record, stand)))
     ami = record.at(sig.AMI, t_ns)
     moved = (record.fastest_wheel.between(drive_ns, t_ns).values >= STANDING_RPM).any()
     if ami == Ami.STATIC_INSPECTION_B or (ami == Ami.AUTONOMOUS_DEMO and moved):
         mission = sig.AMI.step(drive_ns, f"the mission is {label(sig.AMI, ami)}")
         return [candidate("planned_end", sureness, mission, request)]
-    return [candidate("not_on_the_bus", sureness, request), candidate(slug, Sureness.FITS, request)]
+    silent = [gap for gap in record.gaps(sig.ESTOP.can_id, COMMS_LOST_NS) if gap.begin_ns >= first.begin_ns]
+    quiet = [
+        ChainLink(gap.begin_ns, f"its last 0x510: it falls silent {gap.words()}", 0x510)
+        for gap in silent[:1]
+        if gap.begin_ns - first.begin_ns <= BEHIND_NS
+    ]
+    return [
+        candidate("not_on_the_bus", sureness, request, *quiet),
+        candidate(slug, Sureness.FITS, request),
+    ]
 
 
 def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
@@ -176,18 +208,28 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
         return [candidate("vcu_hung", sureness, ChainLink(silence.begin_ns, words, sig.STATUS))]
     if found := link_losses(record, t_ns, sureness):
         return found
-    stood = record.span_at(sig.HANDSHAKE, t_ns - 1)
-    # A VCU that hears nobody reports that after its patience: one that says nothing for longer was not heard itself.
-    if stood is not None and t_ns - stood.begin_ns >= COMMS_LOST_NS + DEAD_NS:
-        words = (
-            f"HANDSHAKE stands at {stood.value:g} for {ms(t_ns - stood.begin_ns)}, and no loss is reported meanwhile"
-        )
-        return [candidate("status_frozen", sureness, sig.HANDSHAKE.step(stood.begin_ns, words))]
-    if record.ai_speaks:
+    if found := _still(record, t_ns, sureness):
+        return found
+    if all(map(record.has, AI_IDS)):
         words = "0x510 to 0x514 and the echo are all in this log, in time"
         return [candidate("ai_unheard", sureness, ChainLink(t_ns, words, 0x510))]
     words = "this log has no frame of the AI computer: it was silent, or only one direction was recorded"
-    return [candidate(slug, sureness, ChainLink(t_ns, words, sig.STATUS, "AI_COMMS_LOST"))]
+    if record.ai_speaks:
+        words = "this log does not have all five messages of the AI computer"
+    return [candidate("ai_comms_lost", sureness, ChainLink(t_ns, words, sig.STATUS, "AI_COMMS_LOST"))]
+
+
+def _still(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
+    """A HANDSHAKE that toggled, and then stood for so long that its echo was missed, or nothing was done any more."""
+    still = record.span_at(sig.HANDSHAKE, t_ns - 1)
+    if still is None or still.before is None or t_ns - still.begin_ns < STOOD_NS:
+        return []
+    length = ms(still.end_ns - still.begin_ns)
+    words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
+    stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))
+    # A VCU that hears nobody says so after its patience: one that says nothing for longer was not heard itself.
+    slug = "status_frozen" if t_ns - still.begin_ns >= COMMS_LOST_NS + DEAD_NS else "handshake_stands"
+    return [candidate(slug, sureness, stands_at)]
 
 
 def _torque_with_brake(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
@@ -233,7 +275,7 @@ def _ebs(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candi
         for s in record.changes(signal, t_ns - BEHIND_NS, t_ns)
         if s.before == armed
     ]
-    steps = [*went[:1], *_plain(record, t_ns, slug, sureness)[0].steps]
+    steps = [*accumulators(record, t_ns), *went[:1], *_plain(record, t_ns, slug, sureness)[0].steps]
     switched = record.changes(sig.TS_SWITCH, t_ns - BEHIND_NS, t_ns, to=0)
     if not switched:
         return [candidate(slug, sureness, *steps)]
@@ -256,11 +298,27 @@ CHAINS: Final[Mapping[str, Chain]] = {
 
 
 def switched(
-    record: Record, slug: str, signal: Signal, t_ns: int, words: str, to: float = 0, within_ns: int = JUST_BEFORE_NS
+    record: Record,
+    slug: str,
+    signal: Signal,
+    t_ns: int,
+    words: str = "",
+    to: float | None = 0,
+    within_ns: int = JUST_BEFORE_NS,
 ) -> list[Candidate]:
-    """The cause for each change of the signal to that value just before."""
+    """The cause for each change of the signal (to a value, if one is named) just before, or with it."""
     changes = record.changes(signal, t_ns - within_ns, t_ns, to)
-    return [shown(slug, signal.step(change.begin_ns, words)) for change in changes]
+    return [
+        shown(
+            slug,
+            signal.step(
+                change.begin_ns,
+                words or f"{signal.name} {label(signal, change.before)} → {label(signal, change.value)}",
+                signal.was(change.value, change.begin_ns),
+            ),
+        )
+        for change in changes
+    ]
 
 
 def _radio(record: Record, t_ns: int) -> Iterator[Candidate]:
@@ -285,6 +343,8 @@ def _unreported(record: Record, t_ns: int) -> list[Candidate]:
     """Conditions to leave AS_DRIVING that the frames show and the car (or this database) does not name."""
     asked = record.at(sig.ESTOP, t_ns)
     found = _requested(record, t_ns, "ai_computer_request", Sureness.SHOWN) if asked else []
+    found += switched(record, "tsms_off", sig.TS_SWITCH, t_ns, "TS_SWITCH_STATUS 1 → 0: TSMS goes off")
+    found += _failed(record, t_ns)
     wheels = record.fastest_wheel.at(t_ns)
     for slug, (signal, value) in TURNING.items():
         recent = record.changes(signal, t_ns - JUST_BEFORE_NS, t_ns, to=value)
@@ -292,6 +352,18 @@ def _unreported(record: Record, t_ns: int) -> list[Candidate]:
             found += _turning(record, t_ns, slug, Sureness.SHOWN)
     both = _both_asked(record, t_ns)
     return found if both is None else [*found, shown("torque_with_brake", both)]
+
+
+def _failed(record: Record, t_ns: int) -> Iterator[Candidate]:
+    """Causes that a state of the car's systems shows, where no fault bit does: faults, and people at the car."""
+    for slug, signal, value in (
+        ("ebs_fault", sig.EBS_STATE, EbsState.EBS_FAULT),
+        ("ts_fault", sig.TS_STATE, TsState.TS_FAULT),
+        ("pushbar_in_driving", sig.OP_STATE, OpState.OP_PUSHBAR),
+    ):
+        more = accumulators(record, t_ns) if slug == "ebs_fault" else []
+        for one in switched(record, slug, signal, t_ns, to=value):
+            yield candidate(slug, one.sureness, *more, *one.steps)
 
 
 def _simulators_brake(record: Record, t_ns: int) -> list[Candidate]:
@@ -324,9 +396,13 @@ def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
     if record.has(sig.REMOTE_ESTOP.can_id):
         heard = t_ns - record.newest_ns(sig.REMOTE_ESTOP.can_id, t_ns) <= DEAD_NS
         remote = f", the remote's {'E-stop and radio did not change' if heard else '0x181 is missing'}"
-    checked = f"{switches}no fault bit and no SHUTDOWN_CAUSE is set, {asked}{remote}: what is left is the SDC"
+    known = [sig.SHUTDOWN_CAUSE, *sig.FAULTS]
+    claims = [signal.was(0.0, t_ns) for signal in known if len(record.series(signal))]
+    claims += [signal.was(1.0, t_ns) for signal in (sig.AS_SWITCH, sig.GO) if record.at(signal, t_ns)]
+    named = "no fault bit and no SHUTDOWN_CAUSE is set" if claims else "no fault bit is known"
+    checked = f"{switches}{named}, {asked}{remote}: what is left is the SDC"
     return [
-        candidate("sdc_open", Sureness.FITS, ChainLink(t_ns, checked, sig.STATUS)),
+        candidate("sdc_open", Sureness.FITS, ChainLink(t_ns, checked, sig.STATUS, claims=tuple(claims))),
         candidate("unknown", Sureness.POSSIBLE, ChainLink(t_ns, "something that this log does not have")),
     ]
 
@@ -334,10 +410,19 @@ def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
 # ---------------------------------------------------------------- drives that were cut off
 
 
-def restarted(gap: Gap, behind: str = "") -> Candidate:
+def restarted(record: Record, gap: Gap, behind: str = "") -> Candidate:
     """The car was silent, and came back in another state."""
-    step = ChainLink(gap.begin_ns, f"the last 0x520 before {ms(gap.length_ns)} of silence{behind}", sig.STATUS)
-    return shown("vcu_reboot" if gap.length_ns < REBOOT_NS else "power_off", step)
+    others = [
+        other
+        for other in record.gaps(sig.STATUS, SILENT_NS)
+        if other.begin_ns > gap.begin_ns
+        and other.end_ns is not None
+        and record.at(sig.AS_STATE, other.end_ns) in OFF_LIKE
+    ]
+    again = f", the first of {len(others) + 1} such silences" if others else ""
+    words = f"the last 0x520 before {ms(gap.length_ns)} of silence{behind}{again}"
+    step = ChainLink(gap.begin_ns, words, sig.STATUS)
+    return shown("vcu_reboot" if gap.length_ns < REBOOT_NS else "power_off", *sag(record, gap), step)
 
 
 def _cut_off(record: Record, span: Span) -> Incident:
@@ -346,7 +431,7 @@ def _cut_off(record: Record, span: Span) -> Incident:
     state = label(sig.AS_STATE, span.value)
     end = sig.AS_STATE.step(t_ns, f"AS_STATE AS_DRIVING → {state}")
     silences = [gap for gap in record.gaps(sig.STATUS, SILENT_NS) if gap.end_ns == t_ns and span.value in OFF_LIKE]
-    found = [restarted(gap) for gap in silences[:1]]
+    found = [restarted(record, gap) for gap in silences[:1]]
     found += switched(record, "asms_off", sig.AS_SWITCH, t_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off")
     words, unselected = "MISSION_STATUS becomes NOT_SELECTED", MissionStatus.NOT_SELECTED
     found += switched(record, "not_selected_simulator", sig.MISSION_STATUS, t_ns, words, unselected)
@@ -375,11 +460,12 @@ def _lost_car(record: Record) -> Iterator[Incident]:
 
 
 def early_stops(record: Record) -> Iterator[Incident]:
-    """Every service-brake stop from speed in a drive that was not ended by an emergency brake."""
+    """Every drive that was ended early by the AI computer's service brake, or in which the car never drove."""
     brake = record.series(sig.BRAKE_REQ_F)
     driven = np.flatnonzero(record.series(sig.SPEED_MAX_R).sampled(brake.t_ns))
     for span in record.series(sig.AS_STATE).spans.of(sig.DRIVING):
         if span.after == sig.EMERGENCY:
+            yield from stands(record, span)
             continue
         began_ns = _service_brake(brake, driven, span.begin_ns, span.end_ns)
         if began_ns is None or record.at(sig.ESTOP, began_ns):
@@ -394,48 +480,31 @@ def early_stops(record: Record) -> Iterator[Incident]:
         seen = [one for one in stop.candidates if one.slug not in NOT_SHOWN and began_ns - one.t_ns <= BEHIND_NS]
         if seen or not (slow or on_stands):
             yield stop
+        else:
+            yield from stands(record, span)
 
 
 def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     """AS_DRIVING that was over before it drove, or that the AI computer does not take for a drive of its own."""
-    finished, stood = span.after == sig.FINISHED, idle(record, span.begin_ns, span.end_ns)
-    if not finished and not stood:
-        return
     wheels = record.fastest_wheel.between(span.begin_ns, span.end_ns).values
     asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
-    if span.before is None or not len(wheels) or not all(map(len, asked)):
+    if span.after != sig.FINISHED or not len(wheels) or not all(map(len, asked)):
+        yield from stands(record, span)
         return
-    over = record.span_at(sig.MISSION_STATUS, span.end_ns) if finished else None
+    stand: Stand | None = stood(record, span.begin_ns, last_ns(span))
+    over = record.span_at(sig.MISSION_STATUS, span.end_ns)
     over_ns = span.end_ns if over is None else over.begin_ns
-    candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
-    if wheels.max() < STANDING_RPM:
-        candidates += _start_was_wrong(record, span)
-    if stood:
-        candidates.append(shown("not_driven", stood))
-    elif wheels.max() < STANDING_RPM and finished and record.at(sig.AMI, span.end_ns) not in INSPECTIONS:
+    candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if span.before is not None else []
+    # A start that should not have been comes before all that it brought about.
+    wrong = _start_was_wrong(record, span) if wheels.max() < STANDING_RPM and span.before is not None else []
+    if stand is not None and not stand.driven:
+        candidates += causes(record, stand)
+    elif wheels.max() < STANDING_RPM and span.before is not None and record.at(sig.AMI, span.end_ns) not in INSPECTIONS:
         step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
         candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
-    if candidates:
+    if found := (*wrong, *ranked(candidates)):
         what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
-        yield Incident(IncidentKind.STOP, over_ns, what, ranked(candidates), lasted=span[:2])
-
-
-def idle(record: Record, drive_begin_ns: int, t_ns: int) -> ChainLink | None:
-    """Since when, at `t_ns`, the car has stood in AS_DRIVING without being asked for anything, if that is long."""
-    if t_ns - drive_begin_ns < IDLE_NS:
-        return None
-    wheels = record.fastest_wheel.between(drive_begin_ns, t_ns)
-    asked = [record.series(signal) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
-    if not len(wheels) or not all(map(len, asked)) or record.at(sig.AMI, t_ns) in INSPECTIONS:
-        return None
-    steered = np.diff(record.series(sig.STEER).sampled(wheels.t_ns), prepend=0.0) != 0
-    driven = (each.sampled(wheels.t_ns) > 0 for each in asked)
-    busy = np.logical_or.reduce([wheels.values >= STANDING_RPM, steered, *driven])
-    since_ns = int(wheels.t_ns[busy][-1]) if busy.any() else drive_begin_ns
-    if t_ns - since_ns < IDLE_NS:
-        return None
-    words = f"for {ms(t_ns - since_ns)} no wheel turns, and neither torque nor another steering angle is asked for"
-    return ChainLink(since_ns, words, 0x512)
+        yield Incident(IncidentKind.STOP, over_ns, what, found, lasted=span[:2])
 
 
 def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:

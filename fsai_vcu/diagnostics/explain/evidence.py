@@ -32,7 +32,6 @@ from fsai_vcu.interface.units import MS, S, ms
 
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # messages that stop within this time stop together
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 LOOK_BACK_NS: Final = 2 * S
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
@@ -40,6 +39,11 @@ BUS_NS: Final = 1 * S
 JUDGED_NS: Final = 30 * S  # implausibility is looked for over so much of the drive
 BELIEVED_NS: Final = 4 * S  # so much before is needed to compare wheel speeds with pulse counts
 SLACK_NS: Final = 25 * MS
+ECHOES: Final = 5
+MOSTLY_WRONG: Final = 0.9
+SAG_SHARE: Final = 0.75  # of a supply's voltage: less starts no VCU anew
+PRESSURE_NS: Final = 5 * S
+FELL_SHARE: Final = 0.8
 
 
 # ---------------------------------------------------------------- the link
@@ -93,8 +97,8 @@ def link_losses(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate
         return [_silent(record, t_ns, list(gaps.values()), sureness)]
     for can_id, gap in gaps.items():
         wrong = record.wrong_length.get(can_id)
-        if wrong is not None and wrong[1] <= t_ns:
-            slug, words = "ai_message_length", f"{BY_ID[can_id]} comes with the wrong length"
+        if wrong is not None and wrong.first_ns <= t_ns:
+            slug, words = "ai_message_length", f"{BY_ID[can_id]} comes with {wrong.words}"
         else:
             length = "to the end of the log" if gap.end_ns is None else gap.words()
             slug = "ai_message_missing"
@@ -105,7 +109,7 @@ def link_losses(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate
             begin_ns = min(int(record.times(i)[0]) for i in AI_IDS if record.has(i))
             wrong = record.wrong_length.get(can_id)
             slug = "ai_message_length" if wrong else "ai_message_missing"
-            words = f"{BY_ID[can_id]} " + ("always has the wrong length" if wrong else "never comes")
+            words = f"{BY_ID[can_id]} " + (f"always has {wrong.words}" if wrong else "never comes")
             found.append(candidate(slug, sureness, ChainLink(begin_ns, words, can_id)))
     return found or _handshake(record, t_ns, sureness)
 
@@ -122,9 +126,17 @@ def _silent(record: Record, t_ns: int, gaps: list[Gap], sureness: Sureness) -> C
         steps.append(ChainLink(errors[0], f"{many} on the bus: {error_text(record, errors[0])}"))
     if record.at(sig.ESTOP, first):
         steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped on purpose"))
-    # An adapter that goes bus-off silences a program that runs on.
-    off = any("bus-off" in error_text(record, t_error_ns) for t_error_ns in errors)
-    return candidate("bus_lost" if off else "ai_silent", sureness, *steps)
+    # An adapter that goes bus-off silences a program that runs on; the others go on.
+    off_ns = next((t_error_ns for t_error_ns in errors if "bus-off" in error_text(record, t_error_ns)), None)
+    if off_ns is None:
+        return candidate("ai_silent", sureness, *steps)
+    steps.append(ChainLink(off_ns, f"an error frame: {error_text(record, off_ns)}"))
+    heard = record.times(sig.STATUS)
+    count = int(np.searchsorted(heard, t_ns, side="right") - np.searchsorted(heard, first))
+    if not count:
+        return candidate("bus_lost", sureness, *steps)
+    goes_on = ChainLink(first, f"0x520 goes on: {count} come meanwhile, so the bus itself is alive", sig.STATUS)
+    return candidate("ai_bus_off", sureness, *steps, goes_on)
 
 
 def _handshake(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
@@ -133,7 +145,67 @@ def _handshake(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]
         if toggle_ns + late_ns <= t_ns <= toggle_ns + waited_ns + AT_ONCE_NS:
             words = f"HANDSHAKE becomes {bit}, and 0x510 keeps saying {1 - bit} for {ms(waited_ns)}"
             return [candidate("handshake_lost", sureness, ChainLink(toggle_ns, words, 0x520, "HANDSHAKE"))]
-    return []
+    return _contradicted(record, t_ns, sureness)
+
+
+def _contradicted(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
+    """The echoes of the last 100 ms said another bit than the last 0x520 before each of them."""
+    asked, echo = record.series(sig.HANDSHAKE), record.series(sig.ECHO).between(t_ns - LOOK_BACK_NS, t_ns)
+    before = echo.t_ns[echo.t_ns < t_ns]
+    wrong = echo.values[: len(before)] != asked.sampled(before)
+    lately = before > t_ns - COMMS_LOST_NS
+    if not len(asked) or lately.sum() < ECHOES or wrong[lately].mean() < MOSTLY_WRONG:
+        return []
+    right = np.flatnonzero(~wrong & ~lately)
+    first = int(before[right[-1] + 1] if len(right) and right[-1] + 1 < len(before) else before[lately][0])
+    bits = [
+        (int(asked.at(at_ns) or 0), int(value))
+        for at_ns, value in zip(before, echo.values, strict=False)
+        if at_ns >= first
+    ]
+    count = sum(said != bit for bit, said in bits)
+    kind = (
+        "one and the same bit"
+        if len({said for _, said in bits}) == 1
+        else "the inverse, or the bit of the 0x520 before"
+    )
+    words = (
+        f"{count} of {len(bits)} 0x510 contradict the last 0x520 before them, for {ms(t_ns - first)}: they say {kind}"
+    )
+    return [candidate("echo_wrong", sureness, sig.ECHO.step(first, words))]
+
+
+# ---------------------------------------------------------------- voltages and pressures beside them
+
+
+def sag(record: Record, gap: Gap) -> list[ChainLink]:
+    """The supply's voltage before the VCU fell silent, where the log has it and it fell."""
+    volts = record.series(sig.SUPPLY).between(gap.begin_ns - LOOK_BACK_NS, gap.over_ns)
+    if len(volts) < 2 or volts.values.min() > SAG_SHARE * volts.values.max():
+        return []
+    low = int(volts.values.argmin())
+    high = float(volts.values[: low + 1].max())
+    words = f"VBAT_ADC falls from {high:.1f} to {volts.values[low]:.1f} V"
+    return [
+        sig.SUPPLY.step(int(volts.t_ns[low]), words, sig.SUPPLY.was(float(volts.values[low]), int(volts.t_ns[low])))
+    ]
+
+
+def accumulators(record: Record, t_ns: int) -> list[ChainLink]:
+    """The pressure in the EBS accumulators (0x301): how it fell, or what it was."""
+    found = []
+    for signal in sig.ACCUMULATORS:
+        part = record.series(signal).between(t_ns - PRESSURE_NS, t_ns)
+        if not len(part):
+            continue
+        now = float(part.values[-1])
+        fell = now < FELL_SHARE * part.values.max()
+        since = int(np.flatnonzero(part.values == part.values.max())[-1]) if fell else len(part) - 1
+        at_ns = int(part.t_ns[since])
+        words = f"{signal.name} falls from {part.values[since]:.1f} to {now:.1f} bar in {ms(t_ns - at_ns)}"
+        words = words if fell else f"{signal.name} is {now:.1f} bar"
+        found.append(signal.step(at_ns, words, signal.was(now, t_ns)))
+    return found
 
 
 # ---------------------------------------------------------------- why the AI computer asked

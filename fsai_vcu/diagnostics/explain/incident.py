@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
 from fsai_vcu.interface.bus_table import BY_ID
@@ -45,6 +45,7 @@ class IncidentKind(Enum):
         "not_as_asked", "the car does not do what it is asked", "thing not as asked", "things not as asked"
     )  # fmt: skip
     STOP = ("early_stop", "stopped before the mission was done", "early stop", "early stops")
+    STAND = ("not_driving", "the car does not drive in AS_DRIVING", "time without driving", "times without driving")
 
     def __init__(self, slug: str, words: str, one: str, many: str) -> None:
         self.slug = slug
@@ -66,14 +67,28 @@ class Sureness(IntEnum):
         return ("cannot be excluded", "fits the frames", "the frames show it", "the car says so")[self]
 
 
+class Claim(NamedTuple):
+    """A sentence's value of a signal (message, name): in force at `begin_ns`, and in each frame up to `end_ns`."""
+
+    signal: tuple[str, str]
+    low: float
+    high: float
+    begin_ns: int
+    end_ns: int
+
+
 @dataclass(frozen=True, slots=True)
 class ChainLink:
-    """One link of a cause chain: what a frame shows, and when."""
+    """One link of a cause chain: what a frame shows, and when.
+
+    `claims`: what the words say of signals; `proof.py` holds them against the frames before anybody reads the words.
+    """
 
     t_ns: int
     words: str
     can_id: int | None = None
     signal: str = ""
+    claims: tuple[Claim, ...] = ()
 
     @property
     def frame(self) -> str:
@@ -186,8 +201,10 @@ class Explanation:
     def to_record(self, cause: Cause) -> str:
         """What to record next time for that cause; empty where this log has it, or this car sends no such thing."""
         wanted = {int(number, 16) for number in re.findall(r"0x([0-9A-F]{3})", cause.record)}
-        sent = {can_id for can_id in wanted if self.heading["revision"] in BY_ID[can_id].period_ns}
-        return "" if wanted and sent <= self.recorded else cause.record
+        lacking = {i for i in wanted if self.heading["revision"] in BY_ID[i].period_ns} - self.recorded
+        if wanted and len(lacking) < len(wanted):
+            return ", ".join(str(BY_ID[can_id]) for can_id in sorted(lacking))
+        return cause.record
 
     @property
     def clean(self) -> bool:

@@ -27,7 +27,7 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straighte
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS, first_echoes
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_cars, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
-from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.enums import OFF_LIKE, AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -35,6 +35,8 @@ from fsai_vcu.interface.units import MS, S, ms
 
 Values = npt.NDArray[np.float64]
 
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
+REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 _own_databases: Final = cache(load_databases)
@@ -185,6 +187,34 @@ class Gap(NamedTuple):
         return f"to the end of the log ({ms(self.length_ns)})" if self.end_ns is None else f"for {ms(self.length_ns)}"
 
 
+class WrongLengths(NamedTuple):
+    """Frames of one message that have another length than the message, which counts as if they did not come."""
+
+    frames: int
+    first_ns: int
+    lengths: tuple[int, ...]
+    right: int
+
+    @property
+    def words(self) -> str:
+        """How long they are, and how long they should be."""
+        return f"{' or '.join(map(str, self.lengths))} bytes, and must have {self.right}"
+
+
+class PowerCycle(NamedTuple):
+    """The car was switched off after its last 0x520 at `begin_ns`, and on again before the first one at `end_ns`."""
+
+    begin_ns: int
+    end_ns: int
+    before: float
+    after: float
+
+    @property
+    def words(self) -> str:
+        states = " and ".join(sig.label(sig.AS_STATE, state) for state in (self.before, self.after))
+        return f"the car was switched off and on: no 0x520 for {ms(self.end_ns - self.begin_ns)} between {states}"
+
+
 class Answers(NamedTuple):
     """Toggles of the VCU's handshake as columns. waited_ns: until the AI computer's echo, or else the log's end."""
 
@@ -207,7 +237,7 @@ class Record:
     """The frames of one car's bus, by message and signal.
 
     frames: of the one bus that has the car's messages, with the monotonic times; error_ns: when an error frame came.
-    wrong_length: how often a message came so, and when first. clock_set: when the log's clock was, and by how much
+    wrong_length: of each message that came so. clock_set: when the log's clock was, and by how much
     (back: less than 0). perhaps_set: the ends of pauses over which nothing breaks, so that it may have been set there.
     """
 
@@ -233,7 +263,7 @@ class Record:
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
         self.decoder = Decoder(databases or _own_databases(revision=self.revision.name))
-        self.wrong_length: dict[int, tuple[int, int]] = {}
+        self.wrong_length: dict[int, WrongLengths] = {}
         self.unknown_ids: Counter[int] = Counter()
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
         self._tables: dict[str, MessageTable] = {}
@@ -247,7 +277,10 @@ class Record:
             right = self.frames.length[rows] == layout.length
             if not right.all():
                 strange = rows[~right]
-                self.wrong_length[layout.can_id] = (len(strange), int(self.frames.t_ns[strange[0]]))
+                lengths = tuple(np.unique(self.frames.length[strange]).tolist())
+                self.wrong_length[layout.can_id] = WrongLengths(
+                    len(strange), int(self.frames.t_ns[strange[0]]), lengths, layout.length
+                )
             if right.any():
                 self._rows[layout.key] = rows[right]
 
@@ -260,6 +293,10 @@ class Record:
     def lacks(self, can_id: int) -> bool:
         """Whether no whole frame of that message came; one that the database does not name did come."""
         return not self.has(can_id) and can_id not in self.unknown_ids
+
+    def never_right(self, can_id: int) -> bool:
+        """True where that message came, and always with a wrong length."""
+        return can_id in self.wrong_length and not self.has(can_id)
 
     @property
     def ai_speaks(self) -> bool:
@@ -386,14 +423,32 @@ class Record:
         return list(map(Gap, repeat(can_id), times[found].tolist(), ends, waits[found].tolist()))
 
     @cached_property
+    def power_cycles(self) -> Sequence[PowerCycle]:
+        """Times in which the car was switched off and on, before or after its runs: as it has to be, and no fault.
+
+        It comes back in AS_INIT or AS_OFF, and what it counts begins anew. One that was about to drive, or is back
+        within 3 s with its switches on, restarted by itself.
+        """
+        found = []
+        for gap in self.gaps(sig.STATUS, GONE_NS):
+            before, after = (self.at(sig.AS_STATE, t_ns) for t_ns in (gap.begin_ns, gap.over_ns))
+            if gap.end_ns is None or before is None or after is None or before in (sig.READY, sig.DRIVING):
+                continue
+            switched = any(self.at(signal, gap.end_ns) for signal in (sig.AS_SWITCH, sig.TS_SWITCH))
+            anew = after == AsState.AS_INIT != before or self._counts_anew(gap.begin_ns, gap.end_ns)
+            if after in OFF_LIKE and anew and (gap.length_ns >= REBOOT_NS or not switched):
+                found.append(PowerCycle(gap.begin_ns, gap.end_ns, before, after))
+        return tuple(found)
+
+    def _counts_anew(self, begin_ns: int, end_ns: int) -> bool:
+        counts = [(self.at(signal, begin_ns), self.at(signal, end_ns + DEAD_NS)) for signal in sig.PULSES]
+        return any(before for before, _ in counts) and not any(after for _, after in counts)
+
+    @cached_property
     def silences(self) -> Sequence[tuple[int, int]]:
         """(from, to) where no frame at all was received: the bus was dead, or the recording paused."""
         times = self.frames.t_ns
         return tuple((int(times[place]), int(times[place + 1])) for place in np.flatnonzero(np.diff(times) > DEAD_NS))
-
-    def perhaps_set_at(self, t_ns: int) -> bool:
-        """Whether the pause that ends about then may be the log's clock."""
-        return any(abs(end_ns - t_ns) <= DEAD_NS for end_ns in self.perhaps_set)
 
     def silence_in(self, gap: Gap) -> bool:
         """Whether a silence of everybody is nearly all of this gap of one message."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from fsai_vcu.diagnostics.explain.incident import ChainLink
+from fsai_vcu.diagnostics.explain.incident import ChainLink, Claim
 from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
 from fsai_vcu.interface.enums import AsState, CarEnum
 from fsai_vcu.interface.fields import fields_of
@@ -22,9 +22,13 @@ class Signal(NamedTuple):
     def can_id(self) -> int:
         return BY_NAME[self.message].can_id
 
-    def step(self, t_ns: int, words: str) -> ChainLink:
+    def step(self, t_ns: int, words: str, *claims: Claim) -> ChainLink:
         """A link of a cause chain which a frame with this signal shows."""
-        return ChainLink(t_ns, words, self.can_id, self.name)
+        return ChainLink(t_ns, words, self.can_id, self.name, claims)
+
+    def was(self, value: float, begin_ns: int, end_ns: int | None = None) -> Claim:
+        """The claim that it had this value then: all the time, or at `begin_ns`."""
+        return Claim(self, value, value, begin_ns, begin_ns if end_ns is None else end_ns)
 
 
 DRIVING: Final = float(AsState.AS_DRIVING)
@@ -90,7 +94,13 @@ MISSED: Final = {
 _WARNINGS = ("BRAKE_PLAUSIBILITY", "KL15_UNDER_V", "AI_ESTOP_REQ", "AI_COMMS_LOST", "AUTO_BRAKING", "MISSION_STATUS")
 SYSTEM_WARNINGS: Final = tuple(Signal(SYSTEM, f"WARN_{name}") for name in _WARNINGS)
 REMOTE_ESTOP: Final = Signal("RES_TPDO", "ESTOP_STATUS")
+REMOTE_GO: Final = Signal("RES_TPDO", "K2_SWITCH_GO_STATUS")
 RADIO_STRENGTH: Final = Signal("RES_TPDO", "RADIO_STRENGTH")
+SUPPLY: Final = Signal("VCU2OPUS_1", "VBAT_ADC")
+ACCUMULATORS: Final = (
+    Signal("VCU2OPUS_2", "EBS_FRONT_ACC_PRESS"),
+    Signal("VCU2OPUS_2", "EBS_REAR_ACC_PRESS"),
+)
 
 # Where a number has the car's own word
 LABELS: Final[dict[Signal, type[CarEnum]]] = {

@@ -6,183 +6,42 @@ was to start and did not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from enum import IntEnum
-from typing import Any, Final
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
 
-from fsai_vcu.core.supervision.start_conditions import Moment, Obstacle
-from fsai_vcu.core.supervision.start_conditions import unmet as conditions_unmet
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS, Obstacle
 from fsai_vcu.core.supervision.start_conditions import why_not_driving as bus_not_driving
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS
-from fsai_vcu.diagnostics.explain.endings import idle, restarted, switched
-from fsai_vcu.diagnostics.explain.evidence import GONE_NS, frozen_words
+from fsai_vcu.diagnostics.explain.conditions import all_met, moment, named, unmet
+from fsai_vcu.diagnostics.explain.endings import restarted, switched
+from fsai_vcu.diagnostics.explain.evidence import link_losses
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
-    ChainLink,
     Incident,
     IncidentKind,
     Sureness,
     candidate,
     shown,
 )
-from fsai_vcu.diagnostics.explain.record import Record, Span
-from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.explain.record import GONE_NS, Record, Span
+from fsai_vcu.diagnostics.explain.signals import label
+from fsai_vcu.diagnostics.explain.standing import causes, last_ns, stood
 from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import OFF_LIKE, AsState, MissionStatus
-from fsai_vcu.interface.fields import Refuse, fields_of
-from fsai_vcu.interface.messages import (
-    COMMAND_FIELDS,
-    VEHICLE_FIELD_OF,
-    AiCommand,
-    Faults,
-    VcuBrake,
-    VcuStatus,
-    VcuSteer,
-    VehicleState,
-)
-from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS, STANDING_RPM
+from fsai_vcu.interface.enums import OFF_LIKE, AsState
+from fsai_vcu.interface.specification import READY_WAIT_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S, ms
 
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
-RECENT_NS: Final = 500 * MS
-
-
-def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
-    last_ns = max(int(record.newest_ns(can_id, t_ns)) for can_id in AI_IDS)
-    if last_ns < 0:
-        return ChainLink(record.begin_ns, "no 0x510 to 0x514 up to then")
-    if t_ns - last_ns < RECENT_NS:
-        return None
-    return ChainLink(last_ns, f"the last frame of the AI computer, {ms(t_ns - last_ns)} before")
-
-
-def _frozen(record: Record, t_ns: int) -> ChainLink | None:
-    for span in record.frozen:
-        if span.begin_ns <= t_ns <= span.end_ns:
-            return sig.HANDSHAKE.step(span.begin_ns, frozen_words(record, span))
-    return None
-
-
-def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
-    missing = [i for i in AI_IDS if t_ns - record.newest_ns(i, t_ns) >= RECENT_NS]
-    if not missing or len(missing) == len(AI_IDS):
-        return None
-    words = f"{', '.join(f'0x{i:03X}' for i in missing)} {'does' if len(missing) == 1 else 'do'} not come"
-    if any(i in record.wrong_length for i in missing):
-        words += ", or with the wrong length"
-    return ChainLink(max(int(record.newest_ns(missing[0], t_ns)), record.begin_ns), words, missing[0])
-
-
-def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
-    if record.like_official_simulator:
-        return None  # ASMS alone resets it
-    run = record.series(sig.AS_STATE).last(t_ns, *record.revision.power_cycle_after)
-    if run is None or any(run.end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
-        return None
-    words = f"the last run ended in {label(sig.AS_STATE, run.value)}, and 0x520 has not been away since"
-    return sig.AS_STATE.step(run.end_ns, words)
-
-
-def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.span_at(sig.MISSION_STATUS, t_ns)
-    if not record.like_official_simulator or span is None or span.value == MissionStatus.SELECTED:
-        return None
-    return sig.MISSION_STATUS.step(span.begin_ns, f"MISSION_STATUS is {label(sig.MISSION_STATUS, span.value)}")
-
-
-_HISTORY: Final[Mapping[str, Callable[[Record, int], ChainLink | None]]] = {
-    "status_frozen": _frozen,
-    "no_ai_data": _no_ai_data,
-    "ai_data_incomplete": _incomplete,
-    "power_cycle": _power_cycle,
-    "ready_not_selected": _ready_not_selected,
-}
-"""The conditions that only frames before a moment show."""
-
-
-def _signals() -> Iterator[tuple[str, Signal]]:
-    """The signal of each field of a Moment."""
-    declared: dict[Any, str] = {**VEHICLE_FIELD_OF, **dict.fromkeys(COMMAND_FIELDS, "command")}
-    for kind, root in declared.items():
-        for one in fields_of(kind):
-            name = COMMAND_FIELDS[kind][one.name] if root == "command" else one.name
-            yield f"{root}.{name}", Signal(kind.dbc_name, one.signal)
-
-
-_SIGNALS: Final = dict(_signals())
-
-
-def _heard(record: Record, t_ns: int, kind: Any) -> dict[str, Any] | None:
-    """The fields of a message as the newest frames up to `t_ns` have them; None where nothing may be believed."""
-    found: dict[str, Any] = {}
-    for one in fields_of(kind):
-        holds: Any = one.holds
-        value = record.at(Signal(kind.dbc_name, one.signal), t_ns)
-        if value is None:
-            continue
-        known = not issubclass(holds, IntEnum) or value in set(holds)
-        found[one.name] = holds(value) if known else one.unknown
-    return None if not found or Refuse.FRAME in found.values() else found
-
-
-def moment(record: Record, t_ns: int) -> Moment:
-    """What the log shows up to `t_ns`, as a bridge would have it, and the history of it."""
-    seen: dict[str, Any] = {}
-    kinds: tuple[Any, ...] = (VcuStatus, VcuSteer, VcuBrake)
-    for kind in kinds:
-        heard = _heard(record, t_ns, kind)
-        if heard is None or (kind is VcuBrake and record.like_official_simulator):
-            continue
-        own = {name: value for name, value in heard.items() if "." not in name}
-        if kind is VcuStatus:
-            own["faults"] = Faults(**{name.partition(".")[2]: v for name, v in heard.items() if "." in name})
-        seen[VEHICLE_FIELD_OF[kind]] = kind(**own)
-    said = {
-        names[name]: value
-        for kind, names in COMMAND_FIELDS.items()
-        for name, value in (_heard(record, t_ns, kind) or {}).items()
-    }
-    unknown = record.at(sig.AS_STATE, t_ns) is not None and "status" not in seen
-    status_ns = int(record.newest_ns(sig.STATUS, t_ns))
-    silent_ns = t_ns - status_ns if status_ns >= 0 and t_ns - status_ns >= COMMS_LOST_NS else None
-    span = record.span_at(sig.AS_STATE, t_ns)
-    return Moment(
-        VehicleState(**seen, status_known=not unknown),
-        AiCommand(**said) if said else None,
-        silent_ns,
-        t_ns - span.begin_ns if span is not None and span.before is not None else None,
-        {slug: link.words for slug, show in _HISTORY.items() if (link := show(record, t_ns)) is not None},
-    )
-
-
-def unmet(state: AsState, record: Record, t_ns: int) -> list[Candidate]:
-    """What does not hold at `t_ns` of what is asked in a state: what must be put right first, then what follows."""
-    found = []
-    for condition, source, evidence, follows in conditions_unmet(moment(record, t_ns), state):
-        signal = _SIGNALS.get(source)
-        span = None if signal is None else record.span_at(signal, t_ns)
-        if signal is not None and span is not None:
-            step: ChainLink | None = signal.step(span.begin_ns, evidence)
-        else:
-            step = _HISTORY[condition.slug](record, t_ns)
-        assert step is not None
-        sureness = Sureness.FITS if follows else Sureness.SHOWN
-        found.append(candidate(_named(condition.slug, record, t_ns), sureness, step))
-    return found
-
-
-def _named(slug: str, record: Record, t_ns: int) -> str:
-    """The car's own name for a fault says what to do."""
-    names = (FAULT_BITS[signal.name] for signal in sig.FAULTS if signal != sig.COMMS_LOST and record.at(signal, t_ns))
-    return next(names, slug) if slug == "fault" else slug
+SPELT: Final = 3  # states of a stay that are named one after another
+SILENT: Final = ("no_ai_data", "ai_data_incomplete")  # what a lost link says more of
+_OF_A_CONDITION: Final = frozenset(condition.slug for condition in CONDITIONS)
 
 
 def _too_early(record: Record, t_ns: int) -> list[Candidate]:
@@ -216,12 +75,32 @@ def _never_ready(record: Record) -> Iterator[Incident]:
         asms, wheel = (each.between(begin_ns, end_ns) for each in (record.series(sig.AS_SWITCH), record.fastest_wheel))
         if not asms.values.any() and (wheel.values >= STANDING_RPM).any():
             continue  # driven by hand
-        at_ns = _last_both_on(record, begin_ns, end_ns)
-        met = ChainLink(at_ns, "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there", sig.STATUS)
-        candidates = unmet(AsState.AS_OFF, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
-        state = label(sig.AS_STATE, record.at(sig.AS_STATE, at_ns))
-        what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
+        at_ns = _judged_at(record, begin_ns, end_ns)
+        candidates = (
+            unmet(AsState.AS_OFF, record, at_ns)
+            or unmet(AsState.AS_OFF, record, end_ns)
+            or [all_met(AsState.AS_OFF, record, at_ns)]
+        )
+        what = f"the car stays {_where(record, begin_ns, end_ns)}, and never gets to AS_READY"
         yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates), lasted=(begin_ns, end_ns))
+
+
+def _where(record: Record, begin_ns: int, end_ns: int) -> str:
+    """The states of a stay, and how long each of them lasted."""
+    states = record.series(sig.AS_STATE).between(begin_ns, end_ns)
+    parts = [
+        (label(sig.AS_STATE, state), [t_ns for _, t_ns in rows])
+        for state, rows in groupby(
+            zip(states.values.tolist(), states.t_ns.tolist(), strict=True), key=lambda row: row[0]
+        )
+    ]
+    if len(parts) > SPELT:
+        names = " and ".join(dict.fromkeys(name for name, _ in parts))
+        return f"in {names} for {ms(end_ns - begin_ns)}"
+    ends = [times[0] for _, times in parts[1:]] + [end_ns]
+    return ", then ".join(
+        f"in {name} for {ms(until_ns - times[0])}" for (name, times), until_ns in zip(parts, ends, strict=True)
+    )
 
 
 def _off_stays(record: Record) -> Iterator[tuple[int, int, bool]]:
@@ -235,11 +114,27 @@ def _off_stays(record: Record) -> Iterator[tuple[int, int, bool]]:
     return zip(*(column.tolist() for column in columns), strict=True)
 
 
-def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
-    """The last moment with ASMS and TSMS on: what was missing then was missing to start. Else the end."""
+def _judged_at(record: Record, begin_ns: int, end_ns: int) -> int:
+    """The last moment with ASMS and TSMS on, where they were on for as long as a start may take: what was missing then
+    was missing to start. Else the end: the switches themselves kept the car from it."""
     asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (sig.AS_SWITCH, sig.TS_SWITCH))
-    both = asms.t_ns[(asms.values != 0) & (tsms.values != 0)]
-    return int(both[-1]) if len(both) else end_ns
+    if len(asms) != len(tsms) or not len(asms):
+        return end_ns
+    rows = (asms.values != 0) & (tsms.values != 0)
+    lasted_ns = np.diff(asms.t_ns, append=end_ns)[rows].sum()
+    return int(asms.t_ns[rows][-1]) if lasted_ns >= PATIENCE_NS else end_ns
+
+
+def _losses(record: Record, t_ns: int) -> list[Candidate]:
+    """Losses of the link to the AI computer, at a moment in which the car was to start."""
+    return link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
+
+
+def _missing(record: Record, t_ns: int) -> list[Candidate]:
+    """Conditions of AS_READY that do not hold; in the place of a link that is lost, how it was."""
+    losses = _losses(record, t_ns)
+    found = [one for one in unmet(AsState.AS_READY, record, t_ns) if not losses or one.slug not in SILENT]
+    return [*losses, *found]
 
 
 def _refused_go(record: Record, span: Span) -> Incident | None:
@@ -255,10 +150,11 @@ def _refused_go(record: Record, span: Span) -> Incident | None:
     found: dict[str, Candidate] = {}
     pressed = [sig.GO.step(edge_ns, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY") for edge_ns in refused]
     for press in pressed:
-        for one in (*_too_early(record, press.t_ns), *unmet(AsState.AS_READY, record, press.t_ns)):
+        for one in (*_too_early(record, press.t_ns), *_missing(record, press.t_ns)):
             found.setdefault(one.slug, candidate(one.slug, one.sureness, *one.steps, press))
     if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
-        found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, pressed[0])
+        met = all_met(AsState.AS_READY, record, pressed[0].t_ns)
+        found[met.slug] = candidate(met.slug, met.sureness, *met.steps, pressed[0])
     times = f" ({len(refused)} times)" if len(refused) > 1 else ""
     later = ", later it did" if span.after == sig.DRIVING else ""
     order = sorted(found.values(), key=lambda one: -one.sureness)
@@ -271,28 +167,69 @@ def _waited_in_vain(record: Record, span: Span) -> Incident | None:
     waited_ns = span.end_ns - span.begin_ns
     state = label(sig.AS_STATE, span.after)
     found: list[Candidate] = []
+    end_ns = last_ns(span)
     if span.after in OFF_LIKE:
         found += switched(record, "given_up", sig.AS_SWITCH, span.end_ns, "AS_SWITCH_STATUS 1 → 0", within_ns=waited_ns)
         silences = [gap for gap in record.gaps(sig.STATUS, ANSWER_NS) if gap.end_ns == span.end_ns]
-        found += [restarted(gap, f", then {state}") for gap in silences]
+        found += [restarted(record, gap, f", then {state}") for gap in silences]
+        if not found:
+            # What follows from a switch is shown by the same frame.
+            missing = (one for one in _missing(record, span.end_ns) if one.sureness >= Sureness.SHOWN)
+            found += [*_turned_away(record, span)] or missing
+    elif losses := _losses(record, end_ns):
+        found += losses
     if waited_ns >= NO_GO_NS and not found:
-        end_ns = span.end_ns - 1 if span.after is not None else span.end_ns
-        go = record.span_at(sig.GO, end_ns)
-        found += unmet(AsState.AS_READY, record, end_ns)
-        if go is not None and go.value and go.begin_ns <= span.begin_ns:
-            found.append(shown("go_held", sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began")))
-        elif go is not None and not go.value:
-            words = f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY"
-            found.append(shown("no_go", sig.GO.step(span.begin_ns, words)))
+        found += [*_missing(record, end_ns), *_no_go(record, span, end_ns)]
     elif span.after is None and not found:
         return None  # the log ends while the 5 s run
     if not found:
         step = sig.AS_STATE.step(span.end_ns, f"AS_STATE AS_READY → {state}")
-        found.append(candidate("start_unknown", Sureness.POSSIBLE, step))
+        met = all_met(AsState.AS_READY, record, end_ns)
+        found.append(candidate(met.slug, met.sureness, *met.steps, step))
     ended = "the log ends" if span.after is None else f"{state} follows"
     order = sorted(found, key=lambda one: -one.sureness)
     what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
     return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order), lasted=span[:2])
+
+
+def _turned_away(record: Record, span: Span) -> Iterator[Candidate]:
+    """Changes that somebody made just before AS_READY was left for AS_OFF."""
+    for slug, signal, to in (
+        ("tsms", sig.TS_SWITCH, 0),
+        ("mission_changed", sig.AMI, None),
+        ("deselected", sig.MISSION_STATUS, None),
+    ):
+        yield from switched(record, slug, signal, span.end_ns, to=to)
+
+
+def _no_go(record: Record, span: Span, end_ns: int) -> Iterator[Candidate]:
+    """Causes of a Go that did not come, by GO_SIGNAL and by the remote's own words where they are in the log."""
+    go = record.span_at(sig.GO, end_ns)
+    if go is None:
+        return
+    if go.value:
+        if go.begin_ns <= span.begin_ns:
+            yield shown("go_held", sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began"))
+        return
+    stays = f"GO_SIGNAL stays 0 for the {ms(span.end_ns - span.begin_ns)} of AS_READY"
+    stayed = sig.GO.step(span.begin_ns, stays, sig.GO.was(0.0, span.begin_ns, end_ns))
+    pressed = record.changes(sig.REMOTE_GO, span.begin_ns, end_ns, to=1)
+    late = [press for press in pressed if press.begin_ns - span.begin_ns >= READY_WAIT_NS]
+    if late:
+        often = "" if len(late) == 1 else f", {len(late)} times"
+        words = f"K2_SWITCH_GO_STATUS of the remote is 1 for {ms(late[0].end_ns - late[0].begin_ns)}{often}"
+        press = sig.REMOTE_GO.step(late[0].begin_ns, words, sig.REMOTE_GO.was(1.0, late[0].begin_ns))
+        yield shown("go_not_taken", stayed, press)
+    elif pressed:
+        words = f"K2_SWITCH_GO_STATUS of the remote 0 → 1, {ms(pressed[0].begin_ns - span.begin_ns)} after it began"
+        yield shown("go_too_early", stayed, sig.REMOTE_GO.step(pressed[0].begin_ns, words))
+    elif record.at(sig.REMOTE_GO, span.begin_ns):
+        words = "K2_SWITCH_GO_STATUS of the remote is 1 since before AS_READY began"
+        yield shown("go_held", stayed, sig.REMOTE_GO.step(span.begin_ns, words, sig.REMOTE_GO.was(1.0, span.begin_ns)))
+    else:
+        words = "K2_SWITCH_GO_STATUS of the remote stays 0, too"
+        remote = sig.REMOTE_GO.step(span.begin_ns, words, sig.REMOTE_GO.was(0.0, span.begin_ns, end_ns))
+        yield shown("no_go", stayed, *([remote] if record.at(sig.REMOTE_GO, span.begin_ns) is not None else []))
 
 
 # ---------------------------------------------------------------- at one moment
@@ -319,12 +256,14 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
         yield from (replace(obstacle, follows=True) for obstacle in bus_not_driving(now))
         return
     if span is not None and now.silent_ns is None and span.value == sig.DRIVING:
-        stood = idle(record, span.begin_ns, now_ns)
-        if stood is None:
+        stand = stood(record, span.begin_ns, now_ns)
+        if stand is None or now_ns - stand.end_ns > GONE_NS:
             return
-        yield _told(record, Obstacle("not_driven", CAUSES["not_driven"].words, stood.words))
+        for one in causes(record, stand):
+            if one.slug not in _OF_A_CONDITION:
+                yield _told(record, Obstacle(one.slug, one.cause.words, one.steps[0].words))
     for obstacle in bus_not_driving(now):
-        yield _told(record, obstacle, _named(obstacle.slug, record, now_ns))
+        yield _told(record, obstacle, named(obstacle.slug, record, now_ns))
 
 
 def _of_cause(record: Record, one: Candidate) -> Obstacle:

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, GONE_NS, error_text, silence_words
+from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, error_text, silence_words
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Series
+from fsai_vcu.diagnostics.explain.record import GONE_NS, Gap, Record, Series
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
@@ -274,11 +274,11 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
             first, last = int(burst[0]), int(burst[-1])
             many = f"{len(burst)} error frames within {ms(last - first)}" if len(burst) > 1 else "an error frame"
             yield TimelineEntry(first, "bus", f"{many}: {error_text(record, first)}", FAULT)
-    for can_id, (count, first) in record.wrong_length.items():
+    for can_id, wrong in record.wrong_length.items():
         known = BY_ID.get(can_id)
         grave = known is not None and known.flow in (Flow.TO_VCU, Flow.FROM_VCU)
-        text = f"{known or f'0x{can_id:03X}'} with the wrong length ({count} frames): it counts as missing"
-        yield TimelineEntry(first, "bus", text, FAULT if grave else WARNING, can_id)
+        text = f"{known or f'0x{can_id:03X}'} has {wrong.words} ({wrong.frames} frames): it counts as missing"
+        yield TimelineEntry(wrong.first_ns, "bus", text, FAULT if grave else WARNING, can_id)
     for t_ns, by_ns in sorted(record.clock_set):
         way = "back" if by_ns < 0 else "forward"
         text = f"the log's clock was set {way} by {ms(abs(by_ns))}: times are as if it had not been"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, is_dataclass
 from enum import Enum
@@ -163,22 +163,33 @@ class BusStatistics:
 
 
 def measure(
-    frames: Frames, decoder: Decoder, *, revision: str | None, bitrate: int | None = None
+    frames: Frames,
+    decoder: Decoder,
+    *,
+    revision: str | None,
+    bitrate: int | None = None,
+    off_ns: Sequence[tuple[int, int]] = (),
 ) -> list[BusStatistics]:
     """Figures of each channel in the log, in order of first appearance.
 
-    revision: whose periods of the bus table count for its messages; None: only those of the databases.
+    revision: whose periods of the bus table count for its messages; None: only those of the databases. off_ns: (from,
+    to) while the car was switched off: an interval with a part of that in it is none of a message.
     """
     found = []
     for index in np.flatnonzero(np.bincount(frames.channel)).tolist():
         of_channel = frames.only(frames.channel == index)
         rate = bitrate or decoder.databases.baudrate or BITRATE
-        found.append(_measure_channel(of_channel, frames.channels[index], decoder, revision, rate))
+        found.append(_measure_channel(of_channel, frames.channels[index], decoder, revision, rate, off_ns))
     return found
 
 
 def _measure_channel(
-    frames: Frames, channel: str, decoder: Decoder, revision: str | None, bitrate: int
+    frames: Frames,
+    channel: str,
+    decoder: Decoder,
+    revision: str | None,
+    bitrate: int,
+    off_ns: Sequence[tuple[int, int]],
 ) -> BusStatistics:
     backwards, backwards_at_s = 0, None
     if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
@@ -200,7 +211,7 @@ def _measure_channel(
         bits[rows] = its_bits = wire_bits(of_message)
         layout = layouts.get(key)
         expected_ns = expected_period_ns(key, layout, revision)
-        return _measure_message(of_message, its_bits, layout, expected_ns, bus_ns, bitrate)
+        return _measure_message(of_message, its_bits, layout, expected_ns, bus_ns, bitrate, off_ns)
 
     parts = list(_by_message(frames))
     with ThreadPoolExecutor() as pool:  # most of it is sorting, which needs no lock of the interpreter
@@ -220,7 +231,7 @@ def _measure_channel(
         load=share(bits, duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
         bitrate=bitrate,
-        handshake=handshake_of(few, decoder),
+        handshake=handshake_of(few, decoder, off_ns),
         frozen_counts=tuple(_frozen_counts(decoder.tables(few, _WHEELS))),
         backwards=backwards,
         backwards_at_s=backwards_at_s,
@@ -260,12 +271,16 @@ def _measure_message(
     expected_ns: int | None,
     bus_ns: tuple[int, int],
     bitrate: int,
+    off_ns: Sequence[tuple[int, int]],
 ) -> MessageStatistics:
     """Of the frames of one message, on a bus whose first and last frame came at these times."""
     t_ns, word, length, flags = frames.t_ns, frames.word, frames.length, frames.flags
     duration_ns = bus_ns[1] - bus_ns[0]
     words = np.sort(word)
-    intervals = np.diff(t_ns)
+    intervals, begins = np.diff(t_ns), t_ns[:-1]
+    for since_ns, until_ns in off_ns:
+        on = (begins + intervals <= since_ns) | (begins >= until_ns)
+        intervals, begins = intervals[on], begins[on]
     ordered = np.sort(intervals)
     typical_ns = expected_ns or quantile(ordered, 0.5) or 0  # type: ignore[arg-type]
     timed = duration_ns > 0 and typical_ns > 0
@@ -297,7 +312,7 @@ def _measure_message(
         gaps=len(ordered) - int(np.searchsorted(ordered, missing, side="right")) if timed else 0,
         lost=max(0, round(int(no_pauses.sum()) / typical_ns) - len(no_pauses)) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
-        longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
+        longest_gap_at_s=None if longest is None else int(begins[longest]) / S,
         silent_ms=(bus_ns[1] - int(t_ns[-1])) / MS,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=1 + int(np.count_nonzero(words[1:] != words[:-1])),
@@ -351,8 +366,11 @@ def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDAr
     return first_ns
 
 
-def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
-    """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards."""
+def handshake_of(frames: Frames, decoder: Decoder, off_ns: Sequence[tuple[int, int]] = ()) -> Handshake | None:
+    """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards.
+
+    off_ns: while the car was switched off; the last toggle before is owed no answer.
+    """
     tables = decoder.tables(frames, _STATUS)
     both = [tables[name].series.get("HANDSHAKE") for name in ("VCU2AI_Status", "AI2VCU_Status") if name in tables]
     bits = [(series.t_ns, series.raw) for series in both if series is not None and len(series.t_ns)]
@@ -364,6 +382,10 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
     next_ns = np.append(asked_ns[toggles[1:]], NEVER_NS)
     before = np.searchsorted(answer_ns, asked_ns[toggles], side="right") - 1
     alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < COMMS_LOST_NS)
+    for since_ns, until_ns in off_ns:
+        alive &= (asked_ns[toggles] < since_ns - COMMS_LOST_NS) | (asked_ns[toggles] >= until_ns)
+    spoken = np.searchsorted(answer_ns, asked_ns[toggles] + COMMS_LOST_NS) - np.maximum(before + 1, 0)
+    alive &= (spoken > 0) | (asked_ns[toggles] + COMMS_LOST_NS > asked_ns[-1])  # who falls silent misses no echo
     toggles, next_ns = toggles[alive], next_ns[alive]
     toggle_ns, toggle_bits = asked_ns[toggles], asked_bits[toggles]
     first_ns = first_echoes(toggle_ns, toggle_bits, answer_ns, answer_bits)
@@ -392,17 +414,23 @@ def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
 
 
 def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, float, float]]:
-    """Pulse counters that stood while, by the wheel speed, the wheel turned."""
+    """Pulse counters that stood while, by the wheel speeds, the wheel turned, and others with it.
+
+    Where the others rest, it is rather the speed that is wrong.
+    """
     if len(tables) < 2:
         return
     speeds, counts = tables["VCU2AI_Speeds"], tables["VCU2AI_Wheel_counts"]
+    each = [speeds.series.get(f"{wheel}_WHEEL_SPEED") for wheel in ("FL", "FR", "RL", "RR")]
+    known_speeds = [one.values for one in each if one is not None and len(one.t_ns)]
+    middle = np.median(known_speeds, axis=0) if known_speeds else np.zeros(0)
     for wheel in ("FL", "FR", "RL", "RR"):
         speed, count = speeds.series.get(f"{wheel}_WHEEL_SPEED"), counts.series.get(f"{wheel}_PULSE_COUNT")
         if speed is None or count is None or not len(speed.t_ns) or not len(count.t_ns):
             continue
         last = np.searchsorted(speed.t_ns, count.t_ns, side="right") - 1
         known = (last >= 0) & (count.t_ns - speed.t_ns[np.maximum(last, 0)] < COMMS_LOST_NS)
-        turning = known & (speed.values[np.maximum(last, 0)] >= _TURNING_RPM)
+        turning = known & (np.minimum(speed.values, middle)[np.maximum(last, 0)] >= _TURNING_RPM)
         # A wheel at rest breaks the run: while it rests, each frame counts as a change.
         since_ns, lasted_ns = _longest_same(
             count.t_ns, count.values, np.where(turning, -1, np.arange(len(turning), dtype=np.int64))

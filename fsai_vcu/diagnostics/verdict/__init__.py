@@ -8,22 +8,21 @@ verdict.status, verdict.line()                # 0 only where everything is known
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import groupby, islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from msgspec import structs
 
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import told_revision
-from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
-from fsai_vcu.diagnostics.explain.endings import REBOOT_NS
+from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, explained
+from fsai_vcu.diagnostics.explain.conditions import sentence
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
-from fsai_vcu.diagnostics.explain.incident import ALWAYS, TimeRange, within
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.incident import ALWAYS, Sureness, TimeRange, within
+from fsai_vcu.diagnostics.explain.record import REBOOT_NS, Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
     AS_STATE,
@@ -33,6 +32,7 @@ from fsai_vcu.diagnostics.explain.signals import (
     PULSES,
     READY,
     STATUS,
+    WARNINGS,
     label,
 )
 from fsai_vcu.diagnostics.finding import Finding
@@ -45,8 +45,9 @@ from fsai_vcu.diagnostics.statistics.measure import (
     MessageStatistics,
     measure,
 )
+from fsai_vcu.diagnostics.statistics.senders import SecondSender
 from fsai_vcu.diagnostics.verdict.ai_side import mistakes
-from fsai_vcu.diagnostics.verdict.of_bus import judge
+from fsai_vcu.diagnostics.verdict.of_bus import Known, judge
 from fsai_vcu.diagnostics.verdict.own_faults import by_times, impossible, moved_back, steps_forward, twice
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
@@ -57,16 +58,18 @@ OFF: Final = float(AsState.AS_OFF)
 NEARLY_FULL: Final = 65_000  # a counter of 16 bits goes on at 0
 FEW_PULSES: Final = 10
 OUT_OF_ORDER_NS: Final = 2 * PERIOD_NS
-MANY: Final = 3
-MOST_NAMED: Final = 8
-LOSSY: Final = 5  # messages that miss frames again and again
-LOST_SHARE: Final = 0.01  # of all frames: more is no log to judge by
+LOW_SHARE: Final = 0.5  # of the most that TRQ_MAX was in AS_DRIVING
 UNREAD: Final = "not everything could be read"
-NOT_SAID: Final[frozenset[str]] = frozenset()
-SAID_BY: Final = dict.fromkeys(("one-call", "torque-brake"), frozenset({"torque_with_brake"}))  # a mistake, by a cause
-NO_ECHO: Final = frozenset({"ai_silent", "bus_lost", "handshake_lost", "vcu_hung"})  # in which a handshake is lost too
+# A mistake, or what is noted in passing: said by one of these causes.
+SAID_BY: Final[Mapping[str, tuple[str, ...]]] = {
+    "one-call": ("torque_with_brake",),
+    "torque-brake": ("torque_with_brake",),
+    "torque-limit": ("torque_limit_zero", "derated", "derated_hot", "derated_empty"),
+    "warning": ("derated_hot", "derated_empty"),
+}
+# in which a handshake is lost too
+NO_ECHO: Final = frozenset({"ai_silent", "ai_bus_off", "bus_lost", "handshake_lost", "echo_wrong", "vcu_hung"})
 SHORT_NS: Final = 1 * S
-WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +208,8 @@ def judged(
         frames = frames.at(frames.t_ns + set_back_ns).only(inside)
         record = Record(frames, whole.revision.name, databases)
         record.perhaps_set = whole.perhaps_set
-    buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate)
+    off_ns = [cycle[:2] for cycle in whole.power_cycles]
+    buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate, off_ns=off_ns)
     buses = [_with_gaps_before(bus, whole, part_ns) if bus.channel == whole.channel else bus for bus in buses]
     verdict = _verdict(whole, part_ns, record, buses)
     unknown = [words for words in (impossible(buses),) if words]
@@ -225,6 +229,8 @@ def _with_gaps_before(bus: BusStatistics, whole: Record, part_ns: TimeRange) -> 
         if message.extended or not message.expected_ms or not 0 < first < len(times):
             return message
         since_ns = int(times[first - 1])
+        if any(cycle.begin_ns < times[first] and cycle.end_ns > since_ns for cycle in whole.power_cycles):
+            return message
         gap_ms = (int(times[first]) - since_ns) / MS
         if gap_ms <= max(MISSING_PERIODS * message.expected_ms, message.longest_gap_ms or 0.0):
             return message
@@ -238,55 +244,80 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
     explanation = explained(whole, part_ns)
     senders, cars = ([*within(part_ns, found)] for found in (whole.second_senders, whole.second_cars))
     findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
-    firsts = [incident.candidates[0] for incident in explanation.incidents]
-    # (a message, since when) that an incident's cause names as missing or foreign, and how often an echo was with it
-    roots = {(first.steps[0].can_id, first.t_ns) for first in firsts}
-    echoes = sum(first.slug in NO_ECHO for first in firsts)
-    for one in senders:
-        if (one.can_ids[0], one.begin_ns) in roots:
-            continue
-        where = (remedy_of("intruder"), one.begin_ns, one.can_ids, whole.channel)
-        findings.append(Finding("problem", "intruder", one.sentence, *where))
-    shared = {can_id for other in senders for can_id in other.can_ids}
-    for mixed in cars:
-        where = (remedy_of("second_car"), mixed.begin_ns, mixed.can_ids, whole.channel)
-        findings.append(Finding("problem", "intruder", mixed.sentence, *where))
-        shared |= set(VCU_IDS)
-    absent = set() if record.ai_speaks else set(AI_IDS)
-    if not record.has(STATUS):
-        absent |= {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
-
-    def told(bus: BusStatistics, finding: Finding) -> bool:
-        if finding.kind == "handshake" and finding.severity == "problem" and bus.handshake is not None:
-            if cars and bus.channel == whole.channel:
-                return True
-            return bus.handshake.unanswered + bus.handshake.above_100_ms <= echoes
-        begun_ns = finding.t_ns or 0
-        return finding.kind == "gap" and any(
-            can_id in finding.can_ids and abs(t_ns - begun_ns) <= AT_ONCE_NS for can_id, t_ns in roots
-        )
-
+    # A second sender that is an incident's cause is told by it.
+    causes = [incident.candidates[0] for incident in explanation.incidents]
+    told = _told(explanation)
+    others = [other for other in (*senders, *cars) if (other.can_ids[0], other.begin_ns) not in told]
+    findings += [_of_second(other, whole.channel) for other in others]
     for bus in buses:
-        stopped = list(_stopped(record, bus))
-        findings += stopped
-        gone = {can_id for finding in stopped for can_id in finding.can_ids}
-        findings += [
-            finding
-            for finding in _of_bus(bus, record)
-            # What follows from a second sender, or is named as unknown or as a cause, is not named again.
-            if not told(bus, finding)
-            and not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
-            and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
-            and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
-            and not (finding.kind == "missing" and bus.channel != record.channel)  # another bus has other messages
-        ]
+        findings += judge(bus, _known(bus, whole, record, explanation, senders, cars))
     if not cars:
-        findings += [*_in_passing(whole, part_ns), *_frozen(whole, part_ns, explanation)]
-        blamed = {incident.candidates[0].slug for incident in explanation.incidents}
-        findings += [one for one in mistakes(whole, part_ns) if not blamed & SAID_BY.get(one.kind, NOT_SAID)]
+        blamed = {cause.slug for cause in causes}
+        findings += [one for one in _in_passing(whole, part_ns) if blamed.isdisjoint(SAID_BY.get(one.kind, ()))]
+        findings += _frozen(whole, part_ns, explanation)
+        findings += [
+            one for one in mistakes(whole, part_ns) if blamed.isdisjoint((one.kind, *SAID_BY.get(one.kind, ())))
+        ]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     unknown = (*_unknown(record), *_perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
     return Verdict(whole.begin_ns, explanation, tuple(findings), unknown)
+
+
+def _of_second(other: SecondSender, channel: str) -> Finding:
+    remedy = remedy_of("second_car" if other.can_ids[0] in VCU_IDS else "intruder")
+    return Finding("problem", "intruder", other.sentence, remedy, other.begin_ns, other.can_ids, channel)
+
+
+def _known(
+    bus: BusStatistics,
+    whole: Record,
+    record: Record,
+    explanation: Explanation,
+    senders: Sequence[SecondSender],
+    cars: Sequence[SecondSender],
+) -> Known:
+    """The knowledge of a bus that its explanation brings."""
+    own = bus.channel == record.channel
+    causes = [incident.candidates[0] for incident in explanation.incidents]
+    told = _told(explanation)
+    shared = {can_id for other in senders for can_id in other.can_ids} | (set(VCU_IDS) if cars else set())
+    absent = set() if record.ai_speaks else set(AI_IDS)
+    if not record.has(STATUS):
+        absent |= {STATUS} if any(map(record.has, VCU_IDS)) else set(VCU_IDS)
+    lengths = {
+        step.can_id
+        for cause in causes
+        for step in cause.steps
+        if cause.slug == "ai_message_length" and step.can_id is not None and not step.signal
+    }
+    state = record.series(AS_STATE)
+    first_ns = int(record.error_ns[0]) if len(record.error_ns) else None
+    return Known(
+        told=frozenset(told),
+        lengths=frozenset(lengths),
+        echoes_ns=tuple(cause.t_ns for cause in causes if cause.slug in NO_ECHO),
+        mixed=bool(cars) and bus.channel == whole.channel,
+        shared=frozenset(shared),
+        absent=frozenset(absent),
+        errors_ns=first_ns,
+        errors_told=own and bool(len(record.error_ns)) and _all_told(record, told),
+        theirs=record.ai_is_theirs,
+        active=bool(len(state)) and state.values[-1] in (READY, DRIVING),
+        others=not own,
+        perhaps_set_ns=tuple(record.perhaps_set),
+    )
+
+
+def _told(explanation: Explanation) -> set[tuple[int | None, int]]:
+    """(identifier, moment) of messages that the first causes name as missing or foreign, and of error frames."""
+    causes = [incident.candidates[0] for incident in explanation.incidents]
+    return {(step.can_id, step.t_ns) for cause in causes for step in cause.steps if not step.signal}
+
+
+def _all_told(record: Record, told: set[tuple[int | None, int]]) -> bool:
+    """True where all error frames are near the one that a cause cites."""
+    cited = [t_ns for can_id, t_ns in told if can_id is None and t_ns in record.error_ns]
+    return any(record.error_ns[-1] - S <= t_ns <= record.error_ns[0] + S for t_ns in cited)
 
 
 def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
@@ -294,14 +325,29 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
     state = record.series(AS_STATE)
     found: list[tuple[int, str, str, int]] = []
     for kind, signal in (*(("torque-limit", each) for each in CAR_TORQUE_MAX), ("go", GO)):
-        spans = record.series(signal).spans
+        series = record.series(signal)
+        most = series.values[state.sampled(series.t_ns) == DRIVING].max(initial=0.0)
+        below = series.values <= (LOW_SHARE * most if kind == "torque-limit" else 0.0)
+        spans = replace(series, values=below.astype(np.float64)).spans
         drives = [state.sampled(spans.begin_ns + later_ns) == DRIVING for later_ns in (0, COMMS_LOST_NS)]
-        rows = np.flatnonzero(np.logical_and.reduce([spans.values == 0, ~spans.apart[:-1], *drives]))
+        rows = np.flatnonzero(np.logical_and.reduce([spans.values * most > 0.0, ~spans.apart[:-1], *drives]))
         falls = [*within(part_ns, (spans[row] for row in rows.tolist()))]
         for span in falls[:1]:
-            words = f"{signal.name} falls to 0 in AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and the state stays"
+            least = series.between(span.begin_ns, max(span.begin_ns, span.end_ns - 1)).values.min()
+            length = ms(span.end_ns - span.begin_ns)
+            words = f"{signal.name} falls to {least:g} in AS_DRIVING for {length}, and the state stays"
             found.append((span.begin_ns, kind, words, len(falls)))
+    for warning in WARNINGS:
+        spans = record.series(warning).spans
+        warned = [*within(part_ns, spans.of(1.0))]
+        for span in warned[:1]:
+            where = label(AS_STATE, state.at(span.begin_ns))
+            words = f"{warning.name} is 1 for {ms(span.end_ns - span.begin_ns)}, from {where} on"
+            found.append((span.begin_ns, "warning", words, len(warned)))
+    for cycle in list(within(part_ns, record.power_cycles))[:1]:
+        found.append((cycle.begin_ns, "power-cycle", cycle.words, len(record.power_cycles)))
     off = np.array([gap.end_ns or 0 for gap in record.gaps(STATUS, REBOOT_NS)])  # switched off: it has to start anew
+    off = np.append(off, [cycle.end_ns for cycle in record.power_cycles])
     for signal in (AS_STATE, *PULSES):
         t_ns, values = record.series(signal).t_ns, record.series(signal).values
         # Frames out of order are made up for at once, and a wheel that rolls back does not begin near 0.
@@ -317,7 +363,7 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             before, after = (label(signal, float(value)) for value in values[rows[0] - 1 : rows[0] + 1])
             words = f"the VCU started anew: {signal.name} {before} → {after}"
             found.append((int(t_ns[rows[0]]), "restart", words, len(rows)))
-    for kind in ("torque-limit", "go", "restart"):
+    for kind in ("power-cycle", "torque-limit", "warning", "go", "restart"):
         for begin_ns, _, words, count in sorted(each for each in found if each[1] == kind)[:1]:
             remedy = remedy_of("vcu_reboot") if kind == "restart" else ""
             more = f", {count} times in all" if count > 1 else ""
@@ -349,126 +395,18 @@ def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
 
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
+    # Of conditions that all have to be met, each that is not is named.
+    refused = incident.kind is IncidentKind.REFUSAL
+    each = [one for one in incident.candidates[1:] if refused and one.sureness >= Sureness.SHOWN]
+    named = dict.fromkeys(sentence(one) if refused else one.cause.words for one in (first, *each))
     return Finding(
         "problem",
         incident.kind.slug,
-        f"{incident.what}, because {first.cause.words}",
+        f"{incident.what}, because {'; and '.join(named)}",
         first.cause.remedy,
         incident.t_ns,
         tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),
     )
-
-
-def _losing(bus: BusStatistics) -> Finding | None:
-    """Many messages that miss single frames again and again, by how many came: nothing is wrong with each of them."""
-    found = [message for message in bus.messages if message.gaps and message.lost and message.expected_ms]
-    if sum(min(message.gaps, message.lost) >= MANY for message in found) < LOSSY:
-        return None
-    lost = {message.can_id: message.lost for message in found}
-    part = sum(lost.values()) / (bus.frames + sum(lost.values()))
-    text = f"frames of {len(lost)} of {len(bus.messages)} messages are missing again and again, {part:.1%} of all"
-    grave = part > LOST_SHARE
-    where = (remedy_of("lossy"), None, tuple(sorted(lost)), bus.channel)
-    return Finding("problem" if grave else "note", "lossy", text, *where)
-
-
-def _of_bus(bus: BusStatistics, record: Record) -> Iterator[Finding]:
-    """A channel's findings; the pauses of several messages at one moment are one, with the error frames of it."""
-    pauses: list[list[Finding]] = []
-    unknown: list[Finding] = []
-    gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
-    lost = _losing(bus)
-    if lost:
-        yield lost
-    errors: Finding | None = None
-
-    def same(one: Finding, other: Finding) -> bool:
-        """Whether two messages were missing at one time: most of the shorter pause lies within the longer one."""
-        begins = [finding.t_ns or 0 for finding in (one, other)]
-        lasts = [gaps[finding.can_ids[0]] * MS for finding in (one, other)]
-        within = min(b + length for b, length in zip(begins, lasts, strict=True)) - max(begins)
-        return abs(begins[0] - begins[1]) <= AT_ONCE_NS or within > 0.5 * min(lasts)
-
-    for finding in judge(bus, theirs=record.ai_is_theirs):
-        if finding.kind == "error-frames" and len(record.error_ns):
-            errors = structs.replace(finding, t_ns=int(record.error_ns[0]), remedy=remedy_of("bus_lost"))
-            continue
-        if finding.kind == "unknown":
-            unknown.append(finding)
-            continue
-        if finding.kind != "gap":
-            yield finding
-            continue
-        if lost and finding.severity == "note" and finding.can_ids[0] in lost.can_ids:
-            continue
-        together: list[Finding] = next((pause for pause in pauses if same(pause[0], finding)), [])
-        if not together:
-            pauses.append(together)
-        together.append(finding)
-    if len(unknown) < MANY:
-        yield from unknown
-    else:
-        ids = tuple(sorted(finding.can_ids[0] for finding in unknown))
-        named = ", ".join(f"0x{can_id:03X}" for can_id in ids[:MOST_NAMED]) + (" …" if len(ids) > MOST_NAMED else "")
-        first = min(unknown, key=lambda finding: finding.t_ns or 0)
-        yield structs.replace(first, words=f"{len(ids)} identifiers are in no database: {named}", can_ids=ids)
-    for pause in pauses:
-        ids = tuple(sorted(finding.can_ids[0] for finding in pause))
-        worst = min(pause, key=lambda finding: finding.severity != "problem")
-        text, begin_ns = pause[0].words, pause[0].t_ns
-        if len(pause) >= MANY:
-            # While all of them were missing: before and after it a slow message has no turn.
-            spans = [(finding.t_ns or 0, round(gaps[finding.can_ids[0]] * MS)) for finding in pause]
-            shared_ns = min(begin + length for begin, length in spans) - max(begin for begin, _ in spans)
-            if shared_ns <= 0:
-                shared_ns = max(length for _, length in spans)
-            else:
-                begin_ns = max(begin for begin, _ in spans)
-            text = f"a pause of {shared_ns / MS:.0f} ms of {_whose(ids, len(bus.messages))}"
-            if record.perhaps_set_at((begin_ns or 0) + shared_ns):
-                text += ", or the log's clock was set forward"
-            if len(ids) == len(bus.messages):
-                if errors is not None and 0 <= (errors.t_ns or 0) - (begin_ns or 0) <= shared_ns:
-                    worst, text, errors = errors, f"{text.partition(':')[0]}, and {errors.words}", None
-                elif worst.remedy:
-                    worst = structs.replace(worst, remedy=f"{remedy_of('recorder')}; {remedy_of('bus_lost')}")
-        yield structs.replace(worst, words=text, t_ns=begin_ns, can_ids=ids)
-    if errors is not None:
-        yield errors
-
-
-def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
-    """All messages of the car, or of the AI computer, that end together before the log does: one finding.
-
-    Where the car was not about to drive somebody switched it off, or ended the program: that is no problem.
-    """
-    state = record.series(AS_STATE)
-    active = bool(len(state)) and state.values[-1] in (READY, DRIVING)
-    for ids, who, cause in ((AI_IDS, "the AI computer", "ai_silent"), (VCU_IDS, "the car", "vcu_reboot")):
-        silent = {m.can_id: m for m in bus.messages if m.can_id in ids and not m.extended}
-        lost = [m for m in silent.values() if m.silent_ms * MS >= COMMS_LOST_NS]
-        if len(lost) > 1 and len(lost) == len(silent):
-            text = f"{who} is silent for the last {min(m.silent_ms for m in lost) / 1000:.1f} s"
-            last_s = max(m.last_s for m in lost)
-            with_it = [m.can_id for m in bus.messages if abs(m.last_s - last_s) * S < WITH_IT_NS]  # its other devices
-            gone = tuple(sorted({*silent, *with_it}))
-            remedy = remedy_of(cause, theirs=record.ai_is_theirs) if active else ""
-            where = (remedy, round(last_s * S), gone, bus.channel)
-            yield Finding("problem" if active else "note", "stopped", text, *where)
-
-
-def _whose(ids: tuple[int, ...], messages: int) -> str:
-    if len(ids) == messages:
-        return f"all {messages} messages: the bus was dead, or the recording paused"
-    if set(ids) == set(AI_IDS):
-        return "the AI computer's five messages"
-    if set(ids) <= set(VCU_IDS) and STATUS in ids:
-        return f"{len(ids)} of the VCU's messages"
-    if STATUS in ids and set(ids).isdisjoint(AI_IDS):
-        return f"{len(ids)} of the car's messages"
-    if len(ids) > messages // 2:
-        return f"{len(ids)} of {messages} messages"
-    return f"{len(ids)} messages ({', '.join(f'0x{can_id:03X}' for can_id in ids)})"
 
 
 def _not_judged(whole: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:

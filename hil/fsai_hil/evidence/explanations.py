@@ -1,23 +1,27 @@
-"""Does the explanation of a log name what was really wrong? Runs of the fault campaign, explained from their frames.
+"""Does the explanation of a log name what was really wrong? Two halves, each with its score.
 
-    python -m fsai_hil.evidence.explanations     # a log of each kind of fault, and the score: status 0 from 95 % on
+    python -m fsai_hil.evidence.explanations     # status 0 where both are right from 95 % on, and none falsely OK
 
-What is expected follows from the run itself: the bridge's own reason, or why the simulated VCU changed its state.
+The first half are runs of the fault campaign, a log of each kind of fault: what is expected follows from the run, the
+bridge's own reason, or why the simulated VCU changed its state. The second half are good runs that were changed frame
+by frame (edited_logs.py), as other cars and other AI computers would have written them.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, partial
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
-from fsai_hil.evidence.work import followed, spread
+from fsai_hil.evidence.edited_logs import EDITS, Edit, Told, told_at
+from fsai_hil.evidence.work import digest, followed, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
@@ -38,6 +42,9 @@ LINK: Final = frozenset(
         "ai_message_missing",
         "ai_message_length",
         "handshake_lost",
+        "handshake_stands",
+        "echo_wrong",
+        "ai_bus_off",
         "vcu_hung",
         "status_frozen",
     }
@@ -56,12 +63,14 @@ VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
     "high-voltage interlock open": frozenset({"hvil_open"}),
     "LVMS off": frozenset({"vcu_reboot", "power_off"}),
 }
+# What a car does beside, whatever the fault was: one that is held still stands, and what is measured wrong is not asked
+TRUE_ANYWAY: Final = (IncidentKind.MISMATCH, IncidentKind.STAND)
 # Why it stops a drive does not show on the bus.
 HIDDEN: Final = frozenset({Reason.COMMAND_STALE, Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED})
 # To those who see the frames only, these look alike.
 ALIKE: Final[Mapping[Reason, frozenset[str]]] = {
     Reason.LOOP_FAULT: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent"}),
-    Reason.BUS_LOST: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent", "stop_asked"}),
+    Reason.BUS_LOST: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent", "ai_bus_off", "stop_asked"}),
     # One wheel that reads too much keeps the bridge from seeing that the brake has stopped the car.
     Reason.STOP_INEFFECTIVE: frozenset({Reason.STOP_INEFFECTIVE.slug, Reason.WHEEL_IMPLAUSIBLE.slug}),
     Reason.NOT_SEEN: frozenset({Reason.NOT_SEEN.slug, "frames_wrong", "stop_asked", "ai_silent"}),
@@ -130,7 +139,7 @@ def explained(seed: int, index: int) -> Explained:
         for f in rig.on_frame
     )
     verdict = judged(frames).verdict
-    incidents = [incident for incident in verdict.explanation.incidents if incident.kind is not IncidentKind.MISMATCH]
+    incidents = [incident for incident in verdict.explanation.incidents if incident.kind not in TRUE_ANYWAY]
     named = tuple(incident.candidates[0].slug for incident in incidents)
     others = tuple(one.slug for incident in incidents for one in incident.candidates[1:])
     also = _asked(reasons["stopping"]) if end in (End.SELF, End.OFF) and "stopping" in reasons else NOTHING
@@ -165,23 +174,100 @@ def _not_right(one: Explained) -> str:
     return f"{one.grade}: {named}, expected {expected}{green}\n    {one.case.replay}"
 
 
+def _edit_not_right(one: Told) -> str:
+    if one.grade == "right" and not one.falsely_green:
+        return ""
+    green = ", and check called it OK" if one.falsely_green else ""
+    named, expected = (" or ".join(word or "nothing" for word in words) for words in (one.named, one.expected))
+    return f"{one.grade}: {named}, expected {expected}{green}\n    {one.edit}"
+
+
+class Score(NamedTuple):
+    """The score of one half. missed: each log that was not told rightly, in words."""
+
+    what: str
+    grades: Mapping[str, int]
+    green: int
+    missed: tuple[str, ...]
+
+    @property
+    def logs(self) -> int:
+        return sum(self.grades.values())
+
+    @property
+    def good(self) -> bool:
+        return self.grades["right"] >= RIGHT_SHARE * self.logs and not self.green
+
+    @property
+    def line(self) -> str:
+        counted = ", ".join(f"{count} {grade}" for grade, count in self.grades.items())
+        share = self.grades["right"] / self.logs
+        return f"{self.what}: {self.logs} logs: {counted} ({share:.1%} right); {self.green} called OK that are not"
+
+
+def score(what: str, found: Iterable[Explained | Told]) -> Score:
+    """The score of these logs."""
+    logs = list(found)
+    grades = {grade: sum(one.grade == grade for one in logs) for grade in ("right", "partly", "wrong")}
+    missed = (_not_right(one) if isinstance(one, Explained) else _edit_not_right(one) for one in logs)
+    return Score(what, grades, sum(one.falsely_green for one in logs), tuple(filter(None, missed)))
+
+
+def markdown(halves: Iterable[Score], edits: Iterable[Edit]) -> str:
+    """The page of evidence."""
+    rows = [
+        f"| {half.what} | {half.logs} | {half.grades['right']} | {half.grades['partly']} | {half.grades['wrong']} |"
+        f" {half.green} |"
+        for half in halves
+    ]
+    lines = [
+        "# Explanations",
+        "",
+        f"Made by `python -m fsai_hil.evidence.explanations`; do not edit. Sources: `{digest()}`.",
+        "",
+        "Logs with a known cause, and what `fsai-vcu explain` and `check` say of them: *right* names it and nothing"
+        " else, *partly* something else beside it, *wrong* does not name it. *Called OK* are logs that are not.",
+        "",
+        "| logs | how many | right | partly | wrong | called OK |",
+        "|---|---:|---:|---:|---:|---:|",
+        *rows,
+        "",
+        "The first are runs with a fault of the campaign in each. The others are good runs, changed frame by frame as"
+        " another car or another AI computer would have sent them:",
+        "",
+        *(f"- {edit.name}: {' or '.join(f'`{slug}`' if slug else 'OK' for slug in edit.named)}" for edit in edits),
+    ]
+    missed = [words.replace("\n    ", ": ") for half in halves for words in half.missed]
+    if missed:
+        lines += ["", "## Not right", "", *(f"- {words}" for words in missed)]
+    return "\n".join(lines) + "\n"
+
+
+def _halves(args: argparse.Namespace) -> Iterator[Score]:
+    if args.half in (1, None):
+        count = args.logs or len(ROWS)
+        numbers = [index * max(1, len(ROWS) // count) for index in range(count)]
+        logs = spread(partial(explained, args.seed), numbers, args.jobs)
+        yield score("a fault driven", followed(logs, "logs", count, _not_right, "not right"))
+    if args.half in (2, None):
+        edited = spread(told_at, range(len(EDITS)), args.jobs)
+        yield score("frames edited", followed(edited, "logs", len(EDITS), _edit_not_right, "not right"))
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m fsai_hil.evidence.explanations", description=__doc__)
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
-    parser.add_argument("--logs", type=int, metavar="N", help="so many logs (default: one of each kind of fault)")
+    parser.add_argument("--logs", type=int, metavar="N", help="so many of the first half (default: of each fault one)")
+    parser.add_argument("--half", type=int, choices=(1, 2), help="one half only")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="write the page of evidence, too")
     args = parser.parse_args(argv)
-    count = args.logs or len(ROWS)
-    every = max(1, len(ROWS) // count)
-    numbers = [index * every for index in range(count)]
-    logs = spread(partial(explained, args.seed), numbers, args.jobs)
-    found = list(followed(logs, "logs", count, _not_right, "not right"))
-    grades = {grade: sum(one.grade == grade for one in found) for grade in ("right", "partly", "wrong")}
-    green = sum(one.falsely_green for one in found)
-    share = grades["right"] / len(found)
-    counted = ", ".join(f"{n} {grade}" for grade, n in grades.items())
-    print(f"{len(found)} logs: {counted} ({share:.1%} right); {green} called OK that are not")
-    return 0 if share >= RIGHT_SHARE and not green else 1
+    halves = list(_halves(args))
+    for half in halves:
+        print(half.line)
+    if args.output:
+        args.output.write_text(markdown(halves, EDITS), encoding="utf-8")
+    return 0 if all(half.good for half in halves) else 1
 
 
 if __name__ == "__main__":
