@@ -282,7 +282,7 @@ def _interface() -> Iterator[tuple[str, str, str, str, str]]:
 
 
 def _type(place: str, kind: str) -> str:
-    """As ROS names it; a type of ours leads to its definition."""
+    """As ROS names it; a type of this project leads to its definition."""
     name = f"{place.partition('/')[0]}/{kind}"
     file = f"{place}/{kind}.{place.rpartition('/')[2]}"
     return f"[{name}]({file})" if (ROOT / "nodes" / file).is_file() else name
@@ -461,7 +461,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
 
 
 def renewed(page: Path) -> str:
-    """The page with its blocks made anew."""
+    """The page with its blocks made again."""
     evidence = "docs/evidence/" if page.parent == ROOT else "evidence/"
 
     def block(match: re.Match[str]) -> str:

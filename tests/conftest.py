@@ -10,7 +10,7 @@ import sys
 import pytest
 from hypothesis import HealthCheck, settings
 
-# pytest writes each test module anew, with words for its assertions, and every worker does so for all of them: what it
+# pytest writes each test module again, with words for its assertions, and every worker does so for all of them: what it
 # has written is kept, also where Python is told to keep nothing.
 sys.dont_write_bytecode = False
 

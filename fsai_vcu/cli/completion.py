@@ -21,7 +21,7 @@ EXAMPLE = (
     "  fsai-vcu completion fish > ~/.config/fish/completions/fsai-vcu.fish"
 )
 ABOUT = """\
-The script knows every verb, option and choice of this version: print it anew
+The script knows every verb, option and choice of this version: print it again
 after an update. For the running shell only: eval "$(fsai-vcu completion bash)".
 zsh looks in the folders of $fpath, set before compinit runs."""
 SHELLS = ("bash", "zsh", "fish")

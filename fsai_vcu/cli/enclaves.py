@@ -23,7 +23,7 @@ OF_OPERATORS = frozenset({"operator", "listener", "visualization"})
 _INSTALLED_POLICY = Path("/usr/share/fsai/security/policy.xml")
 _CHECKOUT_POLICY = Path(__file__).resolve().parents[2] / "systemd" / "security" / "policy.xml"
 _DISTRIBUTION = Path("/opt/ros/jazzy")
-# What the distribution's setup file is to say anew: our own ROS 2 may be another one, from the package index.
+# What the distribution's setup file is to say again: our own ROS 2 may be another one, from the package index.
 _OUR_OWN = {"LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH"}
 
 

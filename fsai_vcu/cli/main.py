@@ -81,7 +81,7 @@ def all_verbs() -> Verbs:
 
 
 def _entry(verb: str) -> tuple[str, str, str]:
-    """The table's entry of a verb; who asks for one of ours does not wait for the others to be found."""
+    """The table's entry of a verb; one of this package is found without looking for the others."""
     return OWN_VERBS.get(verb) or all_verbs()[verb]
 
 

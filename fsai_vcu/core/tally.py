@@ -66,7 +66,7 @@ class Tally:
 
     def on_revision(self, received: str, means: str, ours: str, t_ns: int) -> None:
         """A frame that only revision `received` sends: another than ours is named when it comes again and again,
-        also among those of ours.
+        also among those of this node.
         """
         if received == ours:
             return

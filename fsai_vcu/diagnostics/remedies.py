@@ -81,7 +81,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "state_fault": "look at what it names: EBS (air pressure, 0x301), tractive system (battery, HVIL), the VCU",
     "ami_changed": "leave the display alone once the car is in AS_READY; else look for a second sender of 0x520",
     "sequence_short": "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
-    "not_seen": "start the software before the car leaves AS_OFF, then start anew from AS_OFF",
+    "not_seen": "start the software before the car leaves AS_OFF, then start again from AS_OFF",
     "no_mission": "choose the mission on the display",
     "as_state_unknown": "compare the VCU's interface revision with the database; look for a second sender of 0x520",
     "vcu_reboot": "check its supply: low-voltage battery, LVMS, connectors",
@@ -145,7 +145,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "braked": f"put its cause right, then {_CAR_RESTART}",
     "no_go": "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)",
     "go_too_early": "Go off, wait until the ASSI shows yellow and blue, Go on again",
-    "given_up": "turn ASMS on to start anew",
+    "given_up": "turn ASMS on to start again",
     "go_not_taken": "check the remote's receiver and its wiring to the VCU; then the VCU's own reading of it",
     "mission_changed": "leave the display alone once the car is in AS_READY; wait for AS_READY of the new mission",
     "deselected": "keep SELECTED in 0x510 until AS_DRIVING is seen",
@@ -209,7 +209,7 @@ _THEIRS: Final[Mapping[str, str]] = {
     ),
     "loop_fault": "look what kept the processor of your AI computer busy",
     "command_stale": "look in the log of your AI computer why it asked for nothing any more",
-    "not_seen": "start your AI computer before the car leaves AS_OFF, then start anew from AS_OFF",
+    "not_seen": "start your AI computer before the car leaves AS_OFF, then start again from AS_OFF",
     "not_on_the_bus": "look in the log of your AI computer for what made it ask",
     "ai_silent": (
         "your AI computer's program ended or hung, its adapter went bus-off, or its CAN plug or power went: look at its"

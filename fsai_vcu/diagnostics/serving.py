@@ -185,7 +185,7 @@ class Connection(web.RequestHandler):
             self._timer = self.server.loop.call_later(patience_s, transport.abort)
 
     def handle_error(self, request: web.BaseRequest, status: int = 500, *why: Any, **words: Any) -> web.StreamResponse:
-        """Of what is no request, or of an error of ours."""
+        """The answer to what is no request, and to an error of this server."""
         if status == HTTPStatus.INTERNAL_SERVER_ERROR:
             super().handle_error(request, status, *why, **words)  # logs it
         return error_page(HTTPStatus(status))

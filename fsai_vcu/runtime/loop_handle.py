@@ -132,7 +132,7 @@ class LoopHandle:
         return self._link.refusal
 
     def alive(self) -> None:
-        """To be called once a second: where nobody does, systemd's watchdog starts edge and loop anew."""
+        """To be called once a second: where nobody does, systemd's watchdog starts edge and loop again."""
         self._link.send(Alive())
 
     def confirm_reset(self, role: str, run_id: int) -> str:

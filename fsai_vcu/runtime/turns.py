@@ -281,6 +281,6 @@ class Turns:
         if period_ns is None or now_ns - self._fed_ns < period_ns:
             return ()
         if now_ns - self._edge_ns >= EDGE_HUNG_NS and not self._drives(now_ns):
-            return ()  # both are started anew; but a car that drives is braked to rest before
+            return ()  # both are started again; but a car that drives is braked to rest before
         self._fed_ns = now_ns
         return (Do.FEED,)

@@ -95,7 +95,7 @@ def test_a_tab_in_a_real_bash_completes(folder: Path, capsys: pytest.CaptureFixt
     typed = (
         (f"source {path}; echo rea''dy\n", "\nready"),
         ("fsai-vcu emer\t", "fsai-vcu emergency-brake "),
-        ("\x15fsai-vcu explain run\\ t\t", "fsai-vcu explain run\\ two.log "),  # ^U: begin the line anew
+        ("\x15fsai-vcu explain run\\ t\t", "fsai-vcu explain run\\ two.log "),  # ^U: begin the line again
         ("\x15fsai-vcu drive --mission=track\t", "fsai-vcu drive --mission=trackdrive "),
     )
     try:

@@ -113,7 +113,7 @@ def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
         (replace(WELL, wanted=CAN1, link=replace(LINK, name="can1")), "services", "bridge@can0 is enabled, while"),
         (replace(WELL, services={"fsai-planner.service": "active"}), "services", "no bridge is enabled, while"),
         (replace(WELL, services={}), "services", "no bridge is enabled, while"),
-        (replace(WELL, starts_at_boot=False, services={}), "services", "nothing of ours starts at boot"),
+        (replace(WELL, starts_at_boot=False, services={}), "services", "no service starts at boot"),
         (replace(WELL, starts_at_boot=False), "services", "bridge@can0 starts whenever its adapter is there"),
         (replace(WELL, scheduling=Scheduling("SCHED_OTHER", 0, True)), "scheduling", "SCHED_OTHER"),
         (replace(WELL, scheduling=Scheduling("SCHED_FIFO", 45, False)), "memory", "not locked"),

@@ -167,7 +167,7 @@ def test_keys_are_made_for_the_cars_domain(
     calls: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    named = f'keystore = "{tmp_path}/keystore"'  # and is not there, as when it is to be made anew
+    named = f'keystore = "{tmp_path}/keystore"'  # and is not there, as when it is to be made again
     (tmp_path / "fsai.toml").write_text(f"[ros]\ndomain_id = 7\n{named}\n")
     assert main(["enclaves", "--keystore", "keystore"]) == 0
     assert calls.read_text().splitlines()[-1] == "domain 7"

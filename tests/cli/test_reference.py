@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_committed_reference_is_current_on_any_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "37")
     committed = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
-    assert committed == markdown(), "write it anew with: fsai-vcu reference -o docs/reference.md"
+    assert committed == markdown(), "write it again with: fsai-vcu reference -o docs/reference.md"
 
 
 def test_the_reference_explains_every_verb_and_option() -> None:

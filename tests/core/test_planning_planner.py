@@ -208,7 +208,7 @@ def same_run(planner: Planner) -> None:
         (resets, 50.0, True),
         (another_mission, 50.0, True),
         (another_run, 50.0, True),
-        (same_run, 0.0, True),  # odometry began anew
+        (same_run, 0.0, True),  # odometry began again
         (same_run, 50.0, False),
     ],
 )

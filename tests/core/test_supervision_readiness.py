@@ -156,7 +156,7 @@ def test_in_as_driving_the_rest_of_3_s_is_reported_first() -> None:
 def test_a_stop_and_an_emergency_say_all_about_the_torque() -> None:
     stop, emergency = Latch(Asked.MANUAL, NOW), Latch(Asked.OPERATOR, NOW)
     assert answer(AsState.AS_DRIVING, state={"stop": stop}) == (
-        "stopping for good in this run because manual mode was asked for",
+        "stopping for the rest of this run because manual mode was asked for",
     )
     latched = (
         "ESTOP_REQUEST is latched because the emergency brake was asked for: "

@@ -122,7 +122,7 @@ COMMAND_FIELDS = {each.name for each in fields(VehicleCommand)} - {"run_id"}
 
 
 def refreshed(situation: Situation, now_ns: int, **changes: Any) -> Situation:
-    """Everything received anew at `now_ns`: the tests then age one thing alone."""
+    """Everything received again at `now_ns`: the tests then age one thing alone."""
     state, inputs = situation
     state = roll(replace(state, status_ns=now_ns, received_ns=now_ns), state.fastest_rpm, now_ns)
     if inputs.command is not None:

@@ -3,7 +3,7 @@
 A mission from power-up through bends at speed, where the controller falls silent: a service-brake stop, and FINISHED
 at rest. In virtual time and without a bus a bridge of today receives the car's frames and the controller's commands
 from the disk, at the instants of then: neither the simulated car nor planner and controller of today have a part in
-it. A deliberate change of the bridge's decisions makes the run anew:
+it. A deliberate change of the bridge's decisions makes the run again:
 
     python tests/diagnostics/test_golden_run.py
 """
@@ -138,7 +138,7 @@ def test_a_bridge_that_decides_otherwise_is_noticed(frames: list[Frame]) -> None
 
 
 def make() -> None:
-    """Drive the run anew, and keep it; from SILENT_FROM_NS on the controller's commands are lost."""
+    """Drive the run again, and keep it; from SILENT_FROM_NS on the controller's commands are lost."""
     commands: list[tuple[int, VehicleCommand]] = []
 
     def tap(command: VehicleCommand, now_ns: int) -> VehicleCommand | None:

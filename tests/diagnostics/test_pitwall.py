@@ -1,4 +1,4 @@
-"""The pit wall without a browser: what the page shows, the way driven, and the server with its viewers."""
+"""The pit wall without a browser: what the page shows, the driven path, and the server with its viewers."""
 
 from __future__ import annotations
 

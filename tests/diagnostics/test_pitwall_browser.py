@@ -164,7 +164,9 @@ def test_of_silent_nodes_the_page_shows_the_silence_alone(
         with publishing(server, *with_nodes):
             opened(browser, server)
             until(browser, lambda: len(cones(browser)) == 5)
-        with publishing(server, {**driving[0], **silence, "run": "2"}, with_nodes[1]):  # the story is not told anew yet
+        with publishing(
+            server, {**driving[0], **silence, "run": "2"}, with_nodes[1]
+        ):  # the story is not told again yet
             until(browser, lambda: "nothing received for 2000 ms" in text(browser, "bus"))
             assert cones(browser) == {} and text(browser, "track-name") == "driven path"
             assert [points(browser, name) for name in ("way", "path", "doubted", "stop")] == [1, 0, 0, 0]
@@ -255,7 +257,7 @@ def test_lost_values_are_grey_at_once_until_they_come_again(
         main = browser.find_element(By.TAG_NAME, "main")
         assert main.value_of_css_property("filter") == "grayscale(1)"
         assert browser.find_element(By.ID, "lamp").value_of_css_property("animation-name") == "none"
-        until(browser, lambda: len(asked) > 1)  # it asks anew: a network may have lost the connection unsaid
+        until(browser, lambda: len(asked) > 1)  # it asks again: a network may have lost the connection unsaid
         with publishing(server, *driving):
             assert not while_fresh(browser, browser.find_element(By.ID, "banner").is_displayed)
 

@@ -511,7 +511,7 @@ def patched(frames: Frames, can_id: int, mask: int, bits: int, begin_ns: int, le
     [
         (0x522, 0xFFFF << 32, "REAR_AXLE_TRQ_MAX falls to 0 in AS_DRIVING for 40 ms, and the state stays"),
         (0x520, 1 << 11, "GO_SIGNAL falls to 0 in AS_DRIVING for 40 ms, and the state stays"),
-        (0x526, 0xFFFF, "the VCU started anew: FL_PULSE_COUNT"),
+        (0x526, 0xFFFF, "the VCU started again: FL_PULSE_COUNT"),
     ],
 )
 def test_what_the_car_does_in_passing_is_noted(drive: Frames, can_id: int, mask: int, words: str) -> None:
@@ -565,7 +565,7 @@ def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:
     state = 0b1111 << 16
     early = patched(drive, 0x520, state, 1 << 16, begin_ns, 300 * MS)  # AS_OFF, then AS_INIT again
     texts = [one.words for one in judged(early).findings if one.severity == "note"]
-    assert "the VCU started anew: AS_STATE AS_OFF → AS_INIT" in texts
+    assert "the VCU started again: AS_STATE AS_OFF → AS_INIT" in texts
 
 
 def test_a_car_that_was_switched_off_has_not_restarted(drive: Frames) -> None:

@@ -198,7 +198,7 @@ def test_a_campaign_continues_with_the_same_sources_only(
     assert (tmp_path / "record-before-1.jsonl").read_text() == before
     assert read(record, KIND)[0]["sources"] == "other"
     assert main(["campaign", *arguments, "--out", str(tmp_path)]) == 0
-    assert "is now record-before-2.jsonl: without --resume a campaign begins anew" in capsys.readouterr().err
+    assert "is now record-before-2.jsonl: without --resume a campaign begins again" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- on a cluster

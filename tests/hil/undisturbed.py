@@ -1,7 +1,7 @@
 """Tests in real time count only if the machine let them run: a pytest plugin asks the stall monitor at each failure.
 
 A test that fails while the machine stood still has shown nothing, neither for nor against what it tests: that is
-reported, and it is run again from the start, with every fixture made anew. A failure on an undisturbed machine is a
+reported, and it is run again from the start, with every fixture made again. A failure on an undisturbed machine is a
 failure, at once. A test that is disturbed in each of its runs has failed, and reports why. No deadline is loosened by
 any of this.
 """
@@ -35,7 +35,7 @@ class Undisturbed:
             reports = runtestprotocol(item, log=False, nextitem=nextitem)
             failed = [report for report in reports if report.failed]
             if failed:
-                # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
+                # Whatever it left behind, in fixtures that others share too, is ended: the next run begins again.
                 item.session._setupstate.teardown_exact(None)
             if not failed or not (what := self._stall_monitor.disturbed(since_ns)):
                 break

@@ -99,12 +99,17 @@ def test_the_stop_that_follows_keeps_the_silent_nodes_name() -> None:
     culprit = Culprit()
     stale = replace(counted(S, command_stale=1), reasons=("command_stale",))
     stopping = f"{STALE}: no command for 300 ms"
-    stopped = replace(stale, stopping=stopping, why_not_driving=(f"stopping for good because {stopping}", "no mission"))
+    stopped = replace(
+        stale, stopping=stopping, why_not_driving=(f"stopping for the rest of the run because {stopping}", "no mission")
+    )
     assert culprit.named(stale, lambda: next(words)).reason_details["command_stale"] == "driver: 60 ms"
     for report in (stopped, replace(stopped, reasons=())):
         named = culprit.named(report, lambda: next(words))
         assert named.stopping == f"{STALE}: driver: 250 ms"
-        assert named.why_not_driving == (f"stopping for good because {STALE}: driver: 250 ms", "no mission")
+        assert named.why_not_driving == (
+            f"stopping for the rest of the run because {STALE}: driver: 250 ms",
+            "no mission",
+        )
 
 
 def test_nobody_is_named_where_no_command_is_stale() -> None:

@@ -163,7 +163,7 @@ def test_a_controller_that_falls_silent_is_named_and_stopped(promise: QoSProfile
         car = make()
         words = ("the vehicle command is stale", "/vehicle_cmd of tester: nothing received for")
         rig.spin_until(lambda: bool(errors(log, *words)), words[-1])
-        rig.spin_until(lambda: bool(car.node._loop.report().stopping), "the stop for good")
+        rig.spin_until(lambda: bool(car.node._loop.report().stopping), "the stop of the run")
         assert car.node._loop.report().mode == "manual"
 
     while_driving(show, promise)

@@ -117,7 +117,7 @@ def test_what_shows_no_fall_is_not_compared(checked: Callable[..., int], capsys:
     assert "too noisy" in capsys.readouterr().out
     bench.BASELINE.write_text("{")
     assert checked([row("a", "s", [1.0] * 3, "p", [10.0] * 3)], "--check") == 1
-    assert "makes it anew" in capsys.readouterr().err
+    assert "makes it again" in capsys.readouterr().err
 
 
 def test_wall_times_count_where_processors_are_as_many(

@@ -165,7 +165,7 @@ def test_another_bus_that_is_named_takes_the_place_of_the_first(image: Image) ->
     assert image.settle("vcan0").returncode == 0
     assert image.has(BRIDGE.format("vcan0")) and not image.has(BRIDGE.format("can0"))
     assert image.settle().returncode == 0
-    assert image.has(BRIDGE.format("vcan0")), "settled again, as an upgrade does, nothing is decided anew"
+    assert image.has(BRIDGE.format("vcan0")), "settled again, as an upgrade does, nothing is decided again"
 
 
 def test_removal_ends_it_and_purging_leaves_only_the_logs(image: Image, deb: Path) -> None:
@@ -178,7 +178,7 @@ def test_removal_ends_it_and_purging_leaves_only_the_logs(image: Image, deb: Pat
     assert not image.has(TARGET) and not image.has(BRIDGE.format("can0")) and not image.has("opt/fsai")
     assert image.has("etc/fsai/fsai.toml"), "a removed package leaves the configuration"
     assert image.dpkg("-i", deb).returncode == 0
-    assert image.starts == set(), "installed anew it waits for a bus to be named"
+    assert image.starts == set(), "installed again it waits for a bus to be named"
     assert image.settle("can0").returncode == 0 and image.has(TARGET)
     assert image.dpkg("--purge", "fsai-vcu").returncode == 0
     ours = [path for path in image.root.rglob("*fsai*") if "var/lib/dpkg" not in str(path)]

@@ -1,9 +1,9 @@
 """The controller: plan, motion and run in, one vehicle command out.
 
-`mission_finished` means "stop now, for good": it is set once the plan says the last line is crossed and the stopping
-place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set likewise: the
-mission ends so, or the car has stood for too long where it should drive. FINISHED would claim a mission that was not
-fulfilled. `note` says in words why it does not drive. Throttle and brake are never asked for together.
+`mission_finished` means "stop now, until the run ends": it is set once the plan says the last line is crossed and the
+stopping place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set as well:
+the mission ends so, or the car has stood for too long where it should drive. FINISHED would claim a mission that was
+not fulfilled. `note` says in words why it does not drive. Throttle and brake are never asked for together.
 """
 
 from __future__ import annotations

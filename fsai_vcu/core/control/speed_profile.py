@@ -1,6 +1,6 @@
 """How fast each point of a path can be passed, with everything that lies behind it.
 
-This is the backward half. What motors and power can gain, the forward half, the controller asks anew each cycle from
+This is the backward half. What motors and power can gain, the forward half, the controller asks again each cycle from
 the speed that the car really has; planned ahead as well, it cost 0.1 to 0.15 s of each lap of 27 s and changed nothing
 else.
 """

@@ -3,7 +3,7 @@
 The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead.
 Both lines are defined here, for the judge of the simulation too.
 Seeing the gate again corrects the line, so that odometry may drift by metres in a lap; without a gate the
-line is laid anew where the car passes it, so that only one lap's drift matters. A passage that only odometry has told
+line is laid again where the car passes it, so that only one lap's drift matters. A passage that only odometry has told
 is taken back where the gate then comes into sight ahead of the car.
 """
 
@@ -26,10 +26,10 @@ ARMING_M = 15.0  # the line must have been ahead, within this distance, before i
 PASSED_M = 6.0  # further behind it than this the car has not just passed it
 BEFORE_M = 0.3
 GATE_SHIFT_M = 3.0  # how far the middle of a gate may move from one sighting to the next …
-DRIFT_MAX = 0.08  # … and by how much more of the way driven meanwhile
+DRIFT_MAX = 0.08  # … and by how much more of the driven path meanwhile
 AGAIN_STEP_M, AGAIN_M, AGAIN_COS = 1.0, 1.2, 0.9  # so near its earlier way, the car drives it again …
 CIRCLE_MIN_M = 10.0  # … if that was longer ago than this
-DRIVEN_EVERY = 2  # of the places kept of the way driven
+DRIVEN_EVERY = 2  # of the places kept of the driven path
 LAP_END_M = 30.0  # beyond the line, which may be in sight from before it
 SIGHTED_M = 10.0  # of way in which a gate passed was seen right before
 
@@ -187,9 +187,9 @@ class Circling:
 
 
 class LapCounter:
-    """Laps for a planner of one's own: made anew for each run, with the car where odometry begins: its staging place.
+    """Laps for a planner of one's own: made again for each run, with the car where odometry begins: its staging place.
 
-    It knows the line by odometry alone, and lays it anew at each passage: a lap's drift counts, not the run's.
+    It knows the line by odometry alone, and lays it again at each passage: a lap's drift counts, not the run's.
     """
 
     def __init__(self, missions: MissionSettings | None = None) -> None:

@@ -2,7 +2,7 @@
 
 Course frame: origin where the two circles touch, x along the way in and out, y to the left. The right circle is driven
 first. Progress is the length of path driven since the first passage of the origin, less than 0 before it. The path
-crosses itself, so progress is advanced by the way driven and corrected only nearby.
+crosses itself, so progress is advanced by the driven path and corrected only nearby.
 """
 
 from __future__ import annotations

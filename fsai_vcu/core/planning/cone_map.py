@@ -29,7 +29,7 @@ BELIEVED_HITS = 3.0
 AVERAGE_OVER = 20.0  # sightings in a cone's mean
 TRUST_GAIN, TRUST_NEW, TRUST_MIN = 0.15, 0.5, 0.2  # of the share of looks at a cone's place that find it
 MOVED_M = 0.2  # a cone so far from where it was when the map was taken has moved, …
-BORDER_M = 4.0  # … which matters within this distance of the way driven
+BORDER_M = 4.0  # … which matters within this distance of the driven path
 
 GATE_M = 0.8  # a cone seen further than this from every known one is not matched
 SIGMA_M, SIGMA_PER_M = 0.05, 0.01  # of a cone seen, with its distance
@@ -74,7 +74,7 @@ class ConeMap:
         self._odometry = self.here = motion
         self.fit = 0.0
         self.closed = False
-        self.lap_xy_m: Floats = NO_PATH  # the way driven in the lap that was closed …
+        self.lap_xy_m: Floats = NO_PATH  # the driven path in the lap that was closed …
         self._ring_xy_m: Floats = NO_PATH  # … and coarsely
         self.changed = False  # since it was last taken
 
@@ -215,7 +215,7 @@ class ConeMap:
         self._cones = cones
 
     def _spread(self, found: Motion, begun_m: float) -> Floats:
-        """Bend the way driven, and the cones seen from it, so that it ends where the car was found. Returns the way.
+        """Bend the driven path, and the cones seen from it, so that it ends where the car was found. Returns the way.
 
         The heading's error is spread over the way first, and what is left of the place's error then.
         """

@@ -170,7 +170,7 @@ class ConeMemory:
         return np.asarray((hits > self._settings.hits_to_believe) & (hits > 2.0 * misses))
 
     def vote(self, index: Ints, side: Floats) -> None:
-        """The lane has these cones on its left (+1) or right (-1), surely or less so."""
+        """The lane has these cones on its left (+1) or right (-1), certainly or less so."""
         known = self._cones["side"]
         known[index] = within(known[index] + side, 6.0)
 

@@ -55,8 +55,8 @@ BELIEVED_ASIDE_M, BELIEVED_COS = 1.0, 0.9  # … if the car is on it
 
 class Lane(Value, frozen=True):
     """The lane ahead. path_m: (M, 2) vehicle frame, from beside the car forward, empty when no lane was found;
-    middle_m: the lane's middle from behind the car on; side: (N,) for each cone given, +1 surely on its left … -1
-    surely on its right, 0 neither;
+    middle_m: the lane's middle from behind the car on; side: (N,) for each cone given, +1 certainly on its left … -1
+    certainly on its right, 0 neither;
     half_width_m: estimate; supported_m: how far from the car on the borders bear the path out; confidence: 0…1;
     note: why there is no path, or why it is doubted."""
 

@@ -68,7 +68,7 @@ class Planner:
         """
         there = motion_at(motion, obs.t_ns)
         if self._last is not None and there.distance_m < self._last.distance_m - 1.0:
-            self.reset(self._run)  # odometry began anew: nothing remembered is where it was
+            self.reset(self._run)  # odometry began again: nothing remembered is where it was
         self._last = there
         if self._strategy is None:
             return None

@@ -30,7 +30,7 @@ NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
 ROUNDS, STEPS = 4, 15
 SHARE = 4000  # points of the line times steps at once: about a millisecond
 STRETCH = 8  # points of the line
-SMOOTHING_M = 1.5  # of the way driven
+SMOOTHING_M = 1.5  # of the driven path
 BODY_BEHIND_M = 0.65  # of the rear axle
 
 

@@ -131,7 +131,7 @@ class Racing:
         line, joined_at = self._line, self._joined_at
         if line is None:
             return NO_PATH, "" if self._map.closed else self._unclosed
-        # Steady until now, the car races: a line laid anew is not joined from the lane.
+        # Steady until now, the car races: a line laid again is not joined from the lane.
         if self._map.fit < (FIT_MIN if self._steady >= STEADY else FIT_TO_JOIN):
             return NO_PATH, "the cones seen do not agree with the map"
         index, left_m, turned_rad = line.beside(here)
@@ -141,7 +141,7 @@ class Racing:
         else:
             most_m = ASIDE_M
         driven = (index - joined_at) % len(line.xy_m)
-        if len(self._offsets) <= driven < len(line.xy_m) - BEHIND_JOINING:  # joined: a lap later it is not joined anew
+        if len(self._offsets) <= driven < len(line.xy_m) - BEHIND_JOINING:  # joined: a lap later it is not joined again
             self._offsets = np.zeros(0)
         offsets = self._offsets[driven:]
         aside_m = left_m - float(offsets[0] if len(offsets) and self._joined_at is not None else 0.0)

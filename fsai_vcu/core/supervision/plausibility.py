@@ -43,7 +43,7 @@ def check_steering(
     measured: VcuSteer | None,
     now_ns: int,
 ) -> SteeringCheck:
-    """One cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin anew instead."""
+    """One cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin again instead."""
     if measured is None or now_ns - measured.t_rx_ns >= config.feedback_stale_ns:
         # Nothing to compare with (the supervisor names that); the model goes on from the next measurement.
         return SteeringCheck(pending=check.pending[-1:], target_deg=check.target_deg)
@@ -173,7 +173,7 @@ def _odd_wheel(
 
 
 NEW_STEERING = SteeringCheck()
-"""Outside AS_DRIVING the car ignores steering requests: the model begins anew."""
+"""Outside AS_DRIVING the car ignores steering requests: the model begins again."""
 
 
 def forget_wheels(check: WheelCheck) -> WheelCheck:

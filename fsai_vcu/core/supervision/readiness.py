@@ -65,7 +65,7 @@ def _own_side(config: BridgeConfig, state: SupervisorState, now: Circumstances) 
             if role not in state.confirmed
         )
     if state.stop is not None:
-        unmet.append(f"stopping for good in this run because {state.stop.words}")
+        unmet.append(f"stopping for the rest of this run because {state.stop.words}")
     elif state.as_state in (AsState.AS_READY, AsState.AS_DRIVING) and state.sequence is Sequence.NONE:
         unmet.append(
             f"this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another (the car is in "

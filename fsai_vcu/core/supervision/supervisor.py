@@ -73,7 +73,7 @@ NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
         **{(seen, state): Sequence.OFF_SEEN for seen in Sequence for state in OFF_LIKE},
     }
 )
-"""Every pair that is not here leads to NONE: the drive needs the whole sequence anew."""
+"""Every pair that is not here leads to NONE: the drive needs the whole sequence again."""
 
 
 # ---------------------------------------------------------------- what is sent
@@ -544,7 +544,7 @@ def strike(state: SupervisorState, reason: Reason, detail: str, now_ns: int) -> 
 
 
 def bus_lost(config: BridgeConfig, state: SupervisorState, detail: str, now_ns: int) -> SupervisorState:
-    """The bus is gone: whatever follows, the drive needs the whole sequence anew."""
+    """The bus is gone: whatever follows, the drive needs the whole sequence again."""
     silent = _was_silent(config, state, now_ns)
     return replace(strike(state, Reason.BUS_LOST, detail, now_ns), sequence=Sequence.NONE, was_silent=silent)
 

@@ -3,7 +3,7 @@
 Pure: `pulses_of` and `on_counts` take frames of 0x526, `on_speeds` those of 0x525 and says why one is not believed; a
 frame that is not believed is treated like one that never came. A wheel's two messages are compared in turns of the
 wheel: what it has turned by its count while its reading says that it stands, and what it has turned by its reading
-while its count stands still. Counts that are missing, or start anew, contradict nothing.
+while its count stands still. Counts that are missing, or start again, contradict nothing.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def pulses_per_s(config: BridgeConfig, car: VehicleParameters) -> float:
 
 
 def pulses_of(most_per_s: float, pulses: Pulses, counts: WheelCounts) -> Pulses:
-    """A frame of 0x526. A count that moves by more than `most_per_s` explains has started anew: no wheel turned so."""
+    """A frame of 0x526. A count that moves by more than `most_per_s` explains has started again: no wheel turned so."""
     before = pulses.counts
     if before is None:
         return Pulses(counts)

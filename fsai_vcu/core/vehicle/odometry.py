@@ -4,7 +4,7 @@ Pure: state in, state out (`standing_start`, `advance`, `begin_run`). Positions 
 the odometry frame. They drift: over more than some tens of metres they must be corrected by what is seen.
 
 The instant of a motion is that of the wheel speeds behind it: where the car says nothing, nothing goes on. How sure it
-is follows from the way driven, as a random walk (`OdometrySettings`): over `ds` metres the heading's variance grows by
+is follows from the driven path, as a random walk (`OdometrySettings`): over `ds` metres the heading's variance grows by
 yaw_sd^2 ds, the position's by (share^2 + heading's variance) error_length ds. What may have been driven and turned
 while wheel speeds were missing for longer than they are fresh is added whole.
 """
@@ -36,7 +36,7 @@ class OdometrySettings(Value, frozen=True):
     bias_max_radps: float = 0.05
 
     # How sure it is: standard deviations, or what they are made of.
-    position_sd_share: float = 0.02  # of the way driven: the rolling radius under load is 0.251 … 0.258 m, and slip
+    position_sd_share: float = 0.02  # of the driven path: the rolling radius under load is 0.251 … 0.258 m, and slip
     yaw_sd_radpsqrtm: float = 0.005  # of the heading after one metre: the sensor's bias, or the steering's backlash
     error_length_m: float = 10.0  # an error keeps its sign for about so long
     speed_sd_mps: float = 0.03  # 1 rpm, the resolution of a wheel speed …
@@ -235,7 +235,7 @@ class MotionHistory:
         self._motions.clear()
 
     def add(self, motion: Motion) -> None:
-        """Remember `motion`. A distance that shrinks means that odometry began anew: all before is void."""
+        """Remember `motion`. A distance that shrinks means that odometry began again: all before is void."""
         motions = self._motions
         if motions:
             if motion.distance_m < motions[-1].distance_m - 1e-6:

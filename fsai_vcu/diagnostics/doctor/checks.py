@@ -246,7 +246,9 @@ def ros(machine: Machine) -> Iterator[Finding]:
 def shared_memory(machine: Machine) -> Iterator[Finding]:
     if machine.dds_leftovers:
         files = "1 file" if len(machine.dds_leftovers) == 1 else f"{len(machine.dds_leftovers)} files"
-        words = f"{files} in /dev/shm of ROS programs that were killed: no node of ours uses them, others may hang"
+        words = (
+            f"{files} in /dev/shm of ROS programs that were killed: the nodes do not use them, other programs may hang"
+        )
         yield Finding("note", "DDS", words, f"sudo rm -f {' '.join(machine.dds_leftovers[:_AT_ONCE])}")
 
 
@@ -293,11 +295,11 @@ def services(machine: Machine) -> Iterator[Finding]:
         words = f"fsai.target is not enabled, but {_short(bridges[0])} starts whenever its adapter is there, and sends"
         yield _wrong("services", words, f"{settle}; or, that nothing is sent: {_SETTLE} --off")
     elif machine.starts_at_boot is False:
-        words = "nothing of ours starts at boot: fsai.target is not enabled"
+        words = "no service starts at boot: fsai.target is not enabled"
         yield _wrong("services", words, f"{settle}, when all else is right: from then on this computer sends")
         return
     if not machine.services and machine.starts_at_boot is None:
-        yield _note("services", "systemd does not run here, or nothing of ours is installed")
+        yield _note("services", "systemd does not run here, or the car's software is not installed")
         return
     if configured and bridges != [f"fsai-bridge@{configured}.service"]:
         words = ", ".join(_short(name) for name in bridges) or "no bridge"

@@ -288,7 +288,7 @@ def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
 
 
 def services(interface: str) -> dict[str, str]:
-    """The state of each service of ours that is enabled, by its name; of the interface's link, if it runs."""
+    """The state of each service of this software that is enabled, by its name; of the interface's link, if it runs."""
     if not _SYSTEMD.is_dir():
         return {}
     names = sorted({link.name for link in _ENABLED.glob("*.wants/fsai-*.service")})
@@ -331,7 +331,7 @@ def scheduling_of(process: Path) -> Scheduling | None:
 
 
 def listening_on_networks(proc: Path) -> tuple[str, ...] | None:
-    """Where, other than on the loopback and at multicast addresses, a node of ours takes UDP or TCP.
+    """Where, other than on the loopback and at multicast addresses, a node of this software takes UDP or TCP.
 
     None where nothing was found, and this user may not look at all of them: every node has a socket.
     """

@@ -85,7 +85,7 @@ class Scheduling:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """All of it. `services`: the state of each unit of ours that is enabled, by name; empty where there is none."""
+    """All of it. `services`: the state of each enabled unit of this software, by name; empty where there is none."""
 
     car_pc: bool = True  # the car's software is installed here; else this is a laptop, with a checkout or a workspace
     vcan: str = ""  # on a laptop: an interface of that kind that is up
@@ -111,7 +111,9 @@ class Machine:
     changed_since_start: tuple[str, ...] = ()  # files that are newer than the running bridge, which has read them once
     user: str = ""
     groups: tuple[str, ...] = ()
-    listening: tuple[str, ...] | None = ()  # where a process of ours takes anything from this machine's networks
+    listening: (
+        tuple[str, ...] | None
+    ) = ()  # where a process of this software takes anything from this machine's networks
     dds_leftovers: tuple[str, ...] = ()  # files of shared memory that ended programs have left
     kernel: str = ""
     system: str = ""

@@ -64,7 +64,7 @@ SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
 REMOTE_LATE_NS: Final = 20 * MS  # its receiver sends every 10 ms, perhaps after the car's own change of state
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
-FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
+FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it comes to rest
 AT_FIRST_NS: Final = 20 * MS  # a fault bit that rises later than the state did not bring it about
 STOOD_NS: Final = COMMS_LOST_NS - 20 * MS  # a HANDSHAKE that stands for so long is no answer that is late
 NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
@@ -539,7 +539,9 @@ def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> i
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
-    brake = sig.BRAKE_REQ_F.step(t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for good")
+    brake = sig.BRAKE_REQ_F.step(
+        t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for the rest of the run"
+    )
     before = found_before(record, t_ns, drive_begin_ns, emergency=False)
     candidates = [candidate(one.slug, one.sureness, *one.steps, brake) for one in before]
     held_ns = _held_before(record, t_ns)

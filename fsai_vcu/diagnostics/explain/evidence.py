@@ -41,7 +41,7 @@ BELIEVED_NS: Final = 4 * S  # so much before is needed to compare wheel speeds w
 SLACK_NS: Final = 25 * MS
 ECHOES: Final = 5
 MOSTLY_WRONG: Final = 0.9
-SAG_SHARE: Final = 0.75  # of a supply's voltage: less starts no VCU anew
+SAG_SHARE: Final = 0.75  # of a supply's voltage: less starts no VCU again
 PRESSURE_NS: Final = 5 * S
 FELL_SHARE: Final = 0.8
 

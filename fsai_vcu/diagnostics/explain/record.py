@@ -426,7 +426,7 @@ class Record:
     def power_cycles(self) -> Sequence[PowerCycle]:
         """Times in which the car was switched off and on, before or after its runs: as it has to be, and no fault.
 
-        It comes back in AS_INIT or AS_OFF, and what it counts begins anew. One that was about to drive, or is back
+        It comes back in AS_INIT or AS_OFF, and what it counts begins again. One that was about to drive, or is back
         within 3 s with its switches on, restarted by itself.
         """
         found = []

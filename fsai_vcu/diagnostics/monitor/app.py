@@ -102,7 +102,7 @@ class MonitorApp(App[None]):
         self._page = "signals" if patterns else "overview"
         self._asked = ""  # what is typed at the moment
         self._key = 0  # of the message that is looked at
-        self._height = 0  # lines of the text: arranging the page anew costs as much as drawing it
+        self._height = 0  # lines of the text: arranging the page again costs as much as drawing it
         self._rows: list[tuple[Text, Any]] = []
         self._events: tuple[float, list[TimelineEntry]] | None = None
         self._head, self._text = Static(id="head"), Static()

@@ -17,7 +17,7 @@ class DurableFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """A new file, in the folder's directory for good. Raises OSError, also where there is one already."""
+        """A new file, in the folder's directory on the disk. Raises OSError, also where there is one already."""
         self.path = path
         self._descriptor = open_new(path)
         self._waiting = bytearray()
@@ -65,7 +65,7 @@ class DurableFile:
         return self._safe + len(self._waiting)
 
     def flush(self) -> None:
-        """Only `push` is for good."""
+        """Only what `push` has written is kept through a loss of power."""
 
 
 def sync_folder(folder: Path) -> None:

@@ -256,7 +256,7 @@ class Recording:
         self._again_ns = now_ns + AGAIN_NS
         segment = self._segment
         if error.errno not in _NO_ROOM and segment is not None and not self._place.single:
-            # Not a matter of room: these files may be gone for good, a new one need not.
+            # Not a matter of room: these files may be lost, a new one need not.
             self._segment = None
             self.lost += segment.unpushed
             segment.opened.close()

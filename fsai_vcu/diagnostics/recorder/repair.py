@@ -44,7 +44,7 @@ def repair_mcap(path: Path) -> int | None:
 
     Raises OSError, also where it is no file of one name.
 
-    Chunks are not written anew; messages are read only of the last one and of those that bring a new channel. What is
+    Chunks are not written again; messages are read only of the last one and of those that bring a new channel. What is
     larger than the recorder writes it counts as torn, and all behind it.
     """
     from mcap.data_stream import RecordBuilder
@@ -84,7 +84,7 @@ def repair_mcap(path: Path) -> int | None:
         if not end:  # not even a beginning was on the disk
             out.write(MCAP0_MAGIC)
             Header("", "").write(out)
-        if last is not None:  # its indexes may be missing: they are written anew, which takes nothing away
+        if last is not None:  # its indexes may be missing: they are written again, which takes nothing away
             index = summary.chunks[-1]
             end = index.chunk_start_offset + index.chunk_length
             index.message_index_length = 0

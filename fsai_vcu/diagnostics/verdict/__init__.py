@@ -346,7 +346,7 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             found.append((span.begin_ns, "warning", words, len(warned)))
     for cycle in list(within(part_ns, record.power_cycles))[:1]:
         found.append((cycle.begin_ns, "power-cycle", cycle.words, len(record.power_cycles)))
-    off = np.array([gap.end_ns or 0 for gap in record.gaps(STATUS, REBOOT_NS)])  # switched off: it has to start anew
+    off = np.array([gap.end_ns or 0 for gap in record.gaps(STATUS, REBOOT_NS)])  # switched off: it has to start again
     off = np.append(off, [cycle.end_ns for cycle in record.power_cycles])
     for signal in (AS_STATE, *PULSES):
         t_ns, values = record.series(signal).t_ns, record.series(signal).values
@@ -361,7 +361,7 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
         rows = rows[(t_ns[rows] >= part_ns[0]) & (t_ns[rows] <= part_ns[1])]
         if len(rows):
             before, after = (label(signal, float(value)) for value in values[rows[0] - 1 : rows[0] + 1])
-            words = f"the VCU started anew: {signal.name} {before} → {after}"
+            words = f"the VCU started again: {signal.name} {before} → {after}"
             found.append((int(t_ns[rows[0]]), "restart", words, len(rows)))
     for kind in ("power-cycle", "torque-limit", "warning", "go", "restart"):
         for begin_ns, _, words, count in sorted(each for each in found if each[1] == kind)[:1]:

@@ -80,7 +80,7 @@ def _campaign(args: argparse.Namespace) -> int:
         raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
     with Record(args.out / "record.jsonl", header_of(plan), resume=args.resume) as record:
         if record.kept_as:
-            why = "it is of other sources or options" if args.resume else "without --resume a campaign begins anew"
+            why = "it is of other sources or options" if args.resume else "without --resume a campaign begins again"
             print(f"{record.path} is now {record.kept_as.name}: {why}", file=sys.stderr)
         kept = len(record.results)
         if kept:

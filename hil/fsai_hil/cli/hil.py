@@ -148,7 +148,7 @@ def prepared_place(args: argparse.Namespace) -> vcan.VcanHost:
     """Where the arguments want the vcan0, with everything compiled. Raises VcanError."""
     place = vcan.choose_place("native" if args.native else "uml" if args.uml else "auto")
     for package in ("fsai_vcu", "hil", "nodes"):
-        # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
+        # Inside, Python cannot keep what it compiles, and would compile it for each process again.
         compileall.compile_dir(CHECKOUT / package, quiet=2)
     return place
 

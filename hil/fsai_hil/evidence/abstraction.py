@@ -203,7 +203,7 @@ class Abstraction:
             if stop is not None or in_time:
                 driving_since_ns = now - c.launch_wait_ns
         turned = s.turning_ns is not None and now - s.turning_ns >= c.standstill_ns
-        window_rpm = None if stop is None or over else s.stop_window_rpm  # it is measured anew by each stop
+        window_rpm = None if stop is None or over else s.stop_window_rpm  # it is measured again by each stop
         if stop is not None:
             # Which causes let the planner steer matters, and no longer once the emergency is asked for.
             stop = _STEERED_STOP if not over and stop.cause in STEERS_WHILE_STOPPING else _HELD_STOP

@@ -375,7 +375,7 @@ def stops(at: Moment, **bits: float) -> Act:
 
 
 def turned_away(at: Moment) -> Act:
-    """AS_READY is left for AS_OFF, for good; nothing is asked, and the log ends some seconds later."""
+    """AS_READY is left for AS_OFF until the end; nothing is asked, and the log ends some seconds later."""
     end = Moment(at.state, at.seconds + 7.0)
     car: dict[Signal, float | Changed] = {sig.AS_STATE: float(AsState.AS_OFF), sig.GO: 0.0, sig.REMOTE_GO: 0.0}
     return together(puts(car, at), waits(at), only(BEGIN, end))

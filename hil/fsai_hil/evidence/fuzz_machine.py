@@ -139,7 +139,7 @@ def _happening(name: str = "", **arguments: st.SearchStrategy[Any]) -> Callable[
     back=st.booleans(),
 )  # fmt: skip
 def turned(run: Run, status: dict[str, Any], cycles: int, back: bool) -> None:
-    """What ends a drive by turning, for a moment or for good."""
+    """A switch that ends a drive by turning, for a moment or until the end."""
     run.car(**status)
     run.run(cycles)
     if back:
@@ -278,7 +278,7 @@ def silence(run: Run, cycles: int) -> None:
 
 @_happening(role=_one_of("planner", "controller"), age_ms=_one_of(100.0, 450.0, 500.000001, 550.0, 690.0))
 def restarted(run: Run, role: str, age_ms: float) -> None:
-    """Planner or controller is started anew."""
+    """Planner or controller is started again."""
     run.command(age_ms=age_ms)
     run.run(3)
     run.confirm(role)

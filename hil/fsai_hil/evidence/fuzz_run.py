@@ -236,7 +236,7 @@ class Run:
             self._loop.lost("Network is down", self.now_ns)
 
     def restart(self) -> None:
-        """The process is killed and starts anew."""
+        """The process is killed and starts again."""
         self.now_ns += RESTART_NS
         self._first_run_id = self._bridge.run.run_id + 1000
         self._confirmed_run = None
@@ -457,4 +457,4 @@ def _kept(setup: str, station: str) -> Run:
     return run
 
 
-forget_stations = _kept.cache_clear  # where the code is changed on purpose, the ways must be gone anew
+forget_stations = _kept.cache_clear  # where the code is changed on purpose, the ways must be gone again

@@ -471,7 +471,7 @@ class Composition:
         count = len(self.choices) if driving else self.scope.path if listening else self.scope.anywhere
         braked = state[0][1][0] is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
         if self.scope.path and (braked or bridge.stop_cycles_left == 0):
-            count = self.scope.path  # the car brakes by itself for good, or the software has stopped for good
+            count = self.scope.path  # the car brakes by itself until the end, or the software has stopped
         return range(count)
 
     def moves_under(self, label: int, state: State, bridge: BridgeState) -> Iterable[Move]:

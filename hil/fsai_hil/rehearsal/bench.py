@@ -616,7 +616,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except AssertionError as error:
         return complain(f"nothing to compare: {error}")
     except json.JSONDecodeError as error:
-        return complain(f"{BASELINE}: {error}; this makes it anew: make bench-check ARGS=--write")
+        return complain(f"{BASELINE}: {error}; this makes it again: make bench-check ARGS=--write")
     except OSError as error:
         return complain(f"{error.filename or args.out}: {error.strerror}")
     except KeyboardInterrupt:

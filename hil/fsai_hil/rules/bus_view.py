@@ -1,4 +1,4 @@
-"""What one beside the bus knows of the car and the AI computer, and what is due by it.
+"""An observer's knowledge of the car and the AI computer, and what is due by it.
 
 A `BusView` is given, in the order of time, what the car sends and what happens to the process that answers it.
 The rules in `frame_rules.py` look at it, `checker.py` feeds it.
@@ -308,7 +308,7 @@ class BusView:
         s, state = self.seen, status.as_state
         silent = self.cycle_ns is not None and t_ns - self.cycle_ns >= RESTART_GAP_NS
         if silent and not self._ai_silent and not self.from_start:
-            s.path, s.restarted = 0, True  # the next process must see the whole way anew
+            s.path, s.restarted = 0, True  # the next process must see the whole way again
         self._ai_silent = silent
         if s.silent:
             s.path, s.power_up = 0, True
@@ -453,7 +453,7 @@ class BusView:
         self.seen.steer_odd_ns, self.seen.wheel_odd_ns = steering_ns, wheel_ns
 
     def on_bus_lost(self, now_ns: int | None = None) -> None:
-        """The sender has lost the bus: whatever follows, its drive needs the whole way anew."""
+        """The sender has lost the bus: whatever follows, its drive needs the whole way again."""
         s = self.seen
         if self.process is None or now_ns is None:
             s.path, s.any_status_ns = 0, None  # what it cannot receive is no silence of the car's
@@ -486,7 +486,7 @@ class BusView:
         self.seen.torque_nm, self.seen.brake_pct = before.torque_nm, before.brake_pct
 
     def _lose(self, why: str) -> None:
-        """Commands are dropped, and a drive needs the whole sequence anew."""
+        """Commands are dropped, and a drive needs the whole sequence again."""
         s = self.seen
         self._stop(why)
         s.path, s.order, s.command_ns = 0, None, None

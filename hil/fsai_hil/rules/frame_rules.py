@@ -271,7 +271,7 @@ def _may_move(v: BusView, name: str, t_ns: int) -> Iterator[str]:
 
 @rule("10", "torque")
 def _resumes(v: BusView, axle: Axle) -> Iterator[str]:
-    """After a restart the car never resumes driving by itself: AS_OFF must be seen anew."""
+    """After a restart the car never resumes driving by itself: AS_OFF must be seen again."""
     if v.seen.restarted and not _brakes_by(v, axle):
         yield f"{_name(axle)} torque of a process that has not seen AS_OFF"
 

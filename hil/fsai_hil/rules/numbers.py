@@ -1,4 +1,4 @@
-"""The numbers of the safety rules and of the interface specification, as one beside the bus knows them.
+"""The numbers of the safety rules and of the interface specification, as an observer of the bus knows them.
 
 One copy for all of the evidence. It is written down apart from the core's configuration on purpose: a wrong number
 there must show here.
@@ -38,7 +38,7 @@ TURNING_PULSES: Final = 2  # one pulse may be an edge at rest
 SPEED_MOST_RPM: Final = 1250  # signal database: 0 … 1250
 SPEED_CHANGE_MOST_RPM: Final = 300  # no tyre follows more from one frame to the next
 SPEED_JUMP_NS: Final = 350 * MS  # what stays there for so long is believed again; it was reacted to at 300 ms
-COUNT_SLACK: Final = 2  # a count that moves by so much more than the highest speed explains has started anew
+COUNT_SLACK: Final = 2  # a count that moves by so much more than the highest speed explains has started again
 DOUBT_SURE_TURNS: Final = 0.75  # speed and count that contradict each other by so many turns of the wheel
 DOUBT_OPEN_TURNS: Final = 0.25  # from here on it may be taken for a contradiction
 

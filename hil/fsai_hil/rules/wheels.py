@@ -1,4 +1,4 @@
-"""Which wheel speeds (0x525) may be believed, and whether the wheels stand, as one beside the bus works it out.
+"""An observer's view of the wheels: which speeds (0x525) may be believed, and whether they stand.
 
 Written apart from the core. Three answers are possible for a frame: it may be believed, it may not, or the rules leave
 it open: how many pulses are "clearly more" than a reading explains is the core's to choose within a margin. What is

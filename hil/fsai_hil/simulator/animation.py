@@ -1,6 +1,6 @@
 """A run as a film: the car on its track from above, what it saw and where it meant to drive, as GIF or MP4.
 
-What does not move is drawn once; of each frame only what moves is drawn anew.
+What does not move is drawn once; of each frame only what moves is drawn again.
 """
 
 from __future__ import annotations

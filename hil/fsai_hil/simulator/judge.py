@@ -147,7 +147,7 @@ class _Route:
         """How far left of it the car is now."""
         closed, count = self._closed, self._count
         if self._index is None or (closed and abs(self.lateral_m) > self.LOST_M):
-            # found anew: no progress is credited for the way here. An open route is entered at its first pass
+            # found again: no progress is credited for the way here. An open route is entered at its first pass
             self._index = self._nearest(0, count, x, y)
         best = self._nearest(self._index - self.BACK, self._index + self.ON + 1, x, y)
         if not closed:

@@ -124,14 +124,14 @@ class Lockstep:
         return self.computer.bridge
 
     def start_bridge(self) -> None:
-        """The bridge's process is started anew: it knows nothing, and is in manual mode."""
+        """The bridge's process is started again: it knows nothing, and is in manual mode."""
         # On the car a new process draws a first run id that no earlier one can have used.
         self._first_run_id += RUNS_OF_A_PROCESS
         self.computer.start_bridge(self._new_bridge(self._first_run_id, now_ns=self.now_ns), self.now_ns)
         self.wire.restarted()
 
     def start(self, process: str) -> None:
-        """The planner's or the controller's process is started anew."""
+        """The planner's or the controller's process is started again."""
         self.computer.start(process, self._new[process]())
 
     def intrude(self, frame: Frame) -> None:

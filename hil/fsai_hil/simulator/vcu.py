@@ -231,7 +231,7 @@ class SimulatedVcu:
         self._due = sorted((begin_ns + burst.phase_ns, order) for order, burst in enumerate(self._bursts))
 
     def _power_off(self, now_ns: int) -> None:
-        """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed anew."""
+        """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed again."""
         self._ebs_closed_itself |= self._ebs.state in (EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED)
         self.powered = False
         self.power_cycles += 1

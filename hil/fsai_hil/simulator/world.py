@@ -257,7 +257,7 @@ class World:
         return len(self.verdicts) >= len(self.setup.missions)
 
     def verdict(self) -> JudgeVerdict:
-        """The latest run's verdict: of the run in hand, or of the last one while none has begun anew."""
+        """The latest run's verdict: of the run in hand, or of the last one while none has begun again."""
         if not self.run.judge.done and self.run.judge.waiting and self.verdicts:
             return self.verdicts[-1]
         return self.run.judge.verdict()

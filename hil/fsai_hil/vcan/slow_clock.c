@@ -79,7 +79,7 @@ int sigsuspend(const sigset_t *mask) {
   struct itimerspec left;
   sigset_t all, before;
   int status;
-  /* Nothing sets the timer anew between the look at it and the sleep. */
+  /* Nothing sets the timer again between the look at it and the sleep. */
   sigfillset(&all);
   sigprocmask(SIG_SETMASK, &all, &before);
   if (skipped_ns != &none_skipped && ticks && timer_gettime(ticking, &left) == 0) {

@@ -301,7 +301,7 @@ def _settle(cpu: int) -> None:
 
 @contextlib.contextmanager
 def processor_of_its_own() -> Iterator[int]:
-    """A processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the last."""
+    """A processor of this process that no other User-Mode Linux has claimed, claimed; if all are, the last."""
     processors = sorted(os.sched_getaffinity(0), reverse=True)  # the first often has the machine's interrupts
     with socket.socket(socket.AF_UNIX) as claim:
         for cpu in processors:

@@ -76,7 +76,7 @@ class PathPlanner(Node):
         self._planner = self._new_planner()
         self._planner.reset(run)
         self._cones.forget()
-        self._motion = None  # odometry began anew; what was received before is of the last run
+        self._motion = None  # odometry began again; what was received before is of the last run
         self._confirmation.publish(ResetConfirmation(role=ResetConfirmation.PLANNER, run_id=run.run_id))
         self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
 

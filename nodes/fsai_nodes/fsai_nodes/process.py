@@ -98,7 +98,7 @@ def log_trouble(environ: Mapping[str, str]) -> str:
 
 
 def _tell_systemd(node: Node) -> None:
-    """Ready now; and the watchdog is fed by the executor, so that a node that hangs is started anew."""
+    """Ready now; and the watchdog is fed by the executor, so that a node that hangs is started again."""
     notifier = Notifier()
     notifier.send("READY=1")
     if notifier.watchdog_period_ns:

@@ -16,7 +16,7 @@ from fsai_vcu.core.vehicle.odometry import MotionHistory
 
 SAME_CONE_M = 1.0  # two sightings nearer than that are of one cone
 MOST_CONES = 1000  # remembered
-STEP_M, MOST_STEPS = 0.5, 1000  # of the way driven
+STEP_M, MOST_STEPS = 0.5, 1000  # of the driven path
 
 
 class Scene:
@@ -76,7 +76,7 @@ class Scene:
 
 
 def remembered(cones: np.ndarray, there: Motion, seen: ConeObservation) -> np.ndarray:
-    """(N, 3) x, y, colour in the odometry frame: those known, and where they have been seen anew, as seen now."""
+    """(N, 3) x, y, colour in the odometry frame: those known, and where they have been seen again, as seen now."""
     new = np.column_stack([to_odometry(there, seen.xy_m), seen.color])
     apart = np.hypot(cones[:, None, 0] - new[None, :, 0], cones[:, None, 1] - new[None, :, 1])
     return np.vstack([cones[(apart > SAME_CONE_M).all(axis=1)], new])[-MOST_CONES:]

@@ -221,7 +221,7 @@ class VcuBridge(LifecycleNode):
         configured, loop = self._configured, self._process
         assert configured is not None and loop is not None, "the lifecycle activates only what is configured"
         try:
-            # Drawn anew, so that no planner or controller takes this bridge's first run for an old one's.
+            # Drawn again, so that no planner or controller takes this bridge's first run for an old one's.
             loop.activate(secrets.randbelow(2**30) + 1)
         except LoopError as error:
             return self._failed(str(error))

@@ -114,7 +114,7 @@ def cone_marker(
 
 
 def driven_marker(header: Header, driven: Sequence[tuple[float, float, float]]) -> Marker:
-    """The way driven, from blue (at rest) to red (`FAST_MPS`)."""
+    """The driven path, from blue (at rest) to red (`FAST_MPS`)."""
     line = _marker("driven", header, Marker.LINE_STRIP, (0.08, 0.0, 0.0), (1.0, 1.0, 1.0))
     line.points = _points([(x, y) for x, y, _ in driven], 0.02)
     fast = [min(max(speed / FAST_MPS, 0.0), 1.0) for _, _, speed in driven]

@@ -72,7 +72,7 @@ def attacked(chain: Chain, attacker: RunningProcess, results: Path, line: str) -
         await_condition(said, SAID_S, f"all of '{line}' is said")
     assert f"failed {line}:" not in attacker.log(), attacker.log()[-500:]
     chain.stack.check_alive()
-    assert chain.pids == pids, "nothing was started anew"
+    assert chain.pids == pids, "nothing was started again"
     grown = {name: memory_mb(pid) - before[name] for name, pid in pids.items()}
     print(f"{line}: grown by", ", ".join(f"{name} {by:.1f} MB" for name, by in grown.items()))
     assert all(by < GROWTH_MB for by in grown.values()), grown

@@ -192,7 +192,7 @@ def _message(
     frozen_ms: Bands = ((50, 2500),),
     corrupted: Must = d.ANY,
 ) -> tuple[FaultKind, ...]:
-    """All that can happen to one message on its way: of the car's to us, or of ours to the car.
+    """All that can happen to one message on its way: the car's to us, or ours to the car.
 
     `lost` grades by the time without a believable message, be it that none comes, that they come later or too short.
     """
@@ -557,10 +557,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("ami_changed", "somebody turns the AMI in AS_DRIVING").by(
         i.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), EDGE, missions=ROAD_MISSIONS
     ),
-    Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock of ours").by(
+    Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock").by(
         i.put("world.vcu.switches.steering_fault", True), d.NOTHING
     ),
-    Fault("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock of ours").by(
+    Fault("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock").by(
         i.put("world.vcu.switches.brake_fault", True), d.NOTHING
     ),
     Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
@@ -569,14 +569,14 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
         i.derated, WITHIN_LIMIT, Draw("limit", "steer_limit_deg"), Draw("value", (2.0, 20.0))
     ),
-    Fault("vcu_reboots", "the VCU loses its power for a moment and starts anew").by(
+    Fault("vcu_reboots", "the VCU loses its power for a moment and starts again").by(
         i.put("world.vcu.switches.lvms", False),
         ends(
             End.OFF,
             End.SELF,
             End.ESTOP,
             no_torque_ms=d.VCU_STALE_MS + d.SLACK_MS,
-            note="a drive needs the whole sequence anew",
+            note="a drive needs the whole sequence again",
         ),
         lasts((5, 2000)),
     ),

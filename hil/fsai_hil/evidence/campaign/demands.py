@@ -53,15 +53,15 @@ class Onset(Enum):
     """From when the allowed times count."""
 
     FAULT = "the fault"
-    STEERING = "the steering surely being off its request"
-    WHEEL = "one wheel surely being off the other three"
-    COUNTS = "a wheel speed and its pulse count surely contradicting each other"
+    STEERING = "the steering certainly being off its request"
+    WHEEL = "one wheel certainly being off the other three"
+    COUNTS = "a wheel speed and its pulse count certainly contradicting each other"
 
 
 class Demand(Value, frozen=True):
     """What must follow. A time of None is not limited by the rules.
 
-    `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (for good where the run must
+    `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (to the end where the run must
     end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so;
     ESTOP_REQUEST also where the car stops itself meanwhile. `safe_ms`: the car stands, or its EBS acts.
     `own_word`: that the controller reports that the mission is over is no fault, and ends the run as it should.

@@ -127,7 +127,7 @@ class Observer:
         seen.moving.append((now_ns, truth.speed_mps > MOVING_MPS or max(truth.wheel_rpm) >= MOVING_RPM))
 
 
-# ---------------------------------------------------------------- since when something is surely implausible
+# ---------------------------------------------------------------- since when something is certainly implausible
 
 # Worked out from the frames and nothing else. Sure means: by more than the rules' own margin, so that a correct
 # supervisor cannot overlook it.
@@ -145,7 +145,7 @@ Streak = tuple[int, int]
 
 
 def steering_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
-    """When, in AS_DRIVING, the measured angle was surely not where the requests can have brought it."""
+    """When, in AS_DRIVING, the measured angle was certainly not where the requests can have brought it."""
     streaks: list[Streak] = []
     slow = fast = None
     target = 0.0
@@ -170,7 +170,7 @@ def steering_streaks(seen: Observation, car: VehicleParameters, from_ns: int) ->
 
 
 def wheel_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
-    """When one wheel was surely off the other three, and neither wheelspin nor locking could explain it."""
+    """When one wheel was certainly off the other three, and neither wheelspin nor locking could explain it."""
     driven = (car.driven_front, car.driven_front, car.driven_rear, car.driven_rear)
     odd: dict[tuple[int, bool], list[Streak]] = {}
     angles = iter(seen.angles)
@@ -204,7 +204,7 @@ def wheel_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> li
 
 
 def count_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
-    """When, in AS_DRIVING, wheel speeds came that surely may not be believed."""
+    """When, in AS_DRIVING, wheel speeds came that certainly may not be believed."""
     wheels = Wheels(car.wheel_pulses_per_rev)
     streaks: list[Streak] = []
     frames = [(t_ns, 0, rpm) for t_ns, rpm in seen.wheels] + [(t_ns, 1, counts) for t_ns, counts in seen.counts]

@@ -67,13 +67,13 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         f"**Worse than the rules allow: {len(worse)} of {len(runs)} runs.**",
         "",
         "- *To the reaction*: from the fault (for what must first become implausible: from the moment at which it"
-        " surely was) to the reaction on the bus: torque 0, the service brake, ESTOP_REQUEST, or the car's own"
+        " certainly was) to the reaction on the bus: torque 0, the service brake, ESTOP_REQUEST, or the car's own"
         " emergency brake.",
         "- *To a safe state*: until the car truly stands or its EBS acts; where it drives on, until torque was 0.",
         "- Times in milliseconds. *Left the course* counts runs in which all four wheels did after the fault: no rule"
         " on the bus forbids it, and where the fault must change nothing it is worse than allowed.",
-        "- *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus, a process of ours that"
-        " ended by an exception, and a car that stops although the rules let it drive on.",
+        "- *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus, a process of this"
+        " software that ended by an exception, and a car that stops although the rules let it drive on.",
         "- Runs in which the mission was over before a reaction could be demanded are counted, and judged by the rules"
         " on the bus only.",
         "",

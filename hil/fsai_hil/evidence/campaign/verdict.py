@@ -73,8 +73,8 @@ def judge(
 ) -> CaseVerdict:
     """Judge a run in which the fault began at `fault_ns` (None: its moment never came).
 
-    `crashes` are processes of ours that ended by an exception: no fault may do that to them, whatever the car makes of
-    the silence. What a fault kills on purpose raises nothing.
+    `crashes` are processes of this software that ended by an exception: no fault may do that to them, whatever the car
+    makes of the silence. What a fault kills on purpose raises nothing.
     """
     demand = case.kind.must.demand(case.params) if _supervised(case) else ANY
     wrong = [f"on the wire: {violation}" for violation in violations]
@@ -247,7 +247,7 @@ def _too_late(
 
 
 def _implausible_too_long(seen: Observation, found: _Seen, demand: Demand, streaks: Sequence[Streak]) -> list[str]:
-    """What is surely implausible for so long stops the car, and for longer brings ESTOP_REQUEST."""
+    """What is certainly implausible for so long stops the car, and for longer brings ESTOP_REQUEST."""
     wrong = []
     assert demand.brake_ms is not None and demand.estop_ms is not None  # rows of this kind have both
     emergencies = (found.estop_ns, found.emergency_ns)

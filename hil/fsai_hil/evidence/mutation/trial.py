@@ -45,7 +45,7 @@ _LEAST_CPU_S: Final = 20
 
 
 def prepare() -> None:
-    """The same examples in every run, no time spent on making a failure beautiful; each child imports the code anew."""
+    """The same examples in every run, no time spent on a beautiful failure; each child imports the code again."""
     for name in [name for name in sys.modules if name.startswith("fsai_vcu.core")]:
         del sys.modules[name]
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"

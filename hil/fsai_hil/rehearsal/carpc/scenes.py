@@ -347,7 +347,7 @@ class Rehearsal:
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
         words = "" if drives else f"last seen {watch.as_state and watch.as_state.label}, {watch.fastest_rpm:g} rpm"
-        what = "drives, after AS_OFF, AS_READY and Go anew"
+        what = "drives, after AS_OFF, AS_READY and Go again"
         self.note(f"{name}: {what}", time.monotonic() - began, passed=drives, words=words)
         try:
             if drives:
@@ -424,7 +424,7 @@ class Rehearsal:
         watch.wait(lambda: watch.at_rest_in(strike.ends_in), 40.0)
         within_s = HUNG_BACK_S if strike.number == signal.SIGSTOP else SERVICE_BACK_S
         if strike.first is not None:
-            within_s += AT_REST_S  # the car is brought to rest before anything is started anew
+            within_s += AT_REST_S  # the car is brought to rest before anything is started again
         self.note(f"{strike.what}: back", back_s, within_s)
         self.rested(watch, strike, struck_ns, late_ns / 1e9)
         if service == self.bridge:

@@ -174,7 +174,7 @@ class Measurement:
     # ------------------------------------------------------------ how far the car has come
 
     def _reach(self, wanted: AsState) -> None:
-        """Bring the car there; it is powered up anew where it has ended, or ends on the way."""
+        """Bring the car there; it is powered up again where it has ended, or ends on the way."""
         operator = self._operator
         for _ in range(_ATTEMPTS):
             if self._car is None or _over(operator):
@@ -185,7 +185,7 @@ class Measurement:
             self._bring(wanted)
             if not _over(operator):
                 return
-            _say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up anew")
+            _say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up again")
         raise StackError(f"the car does not come as far as {wanted.label}: {operator.describe()}")
 
     def _bring(self, wanted: AsState) -> None:

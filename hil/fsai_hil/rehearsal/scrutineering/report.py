@@ -214,7 +214,7 @@ def _method(measured: Mapping[str, Any]) -> str:
     points = [
         "Every echo counts; nothing is left out, averaged or sampled. Percentiles are nearest ranks of exact times.",
         "Bridge, nodes, simulated car, C loop and load are processes of their own. Load and C loop run at normal "
-        "priority, as other programs on the AI computer do. The C loop is measured first, then all of ours.",
+        "priority, as other programs on the AI computer do. The C loop is measured first, bridge and nodes afterwards.",
         f"The bus is filled by `cangen` with identifier 0x{FILL_ID:X}, on top of the car's own frames, with what is "
         "left of 500 kbit/s. vcan has no bitrate: no frame waits there for another. On a real, full bus a 0x510 waits "
         "for the frame that is being sent, a quarter of a millisecond, and for those of higher priority.",

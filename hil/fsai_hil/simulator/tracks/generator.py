@@ -1,7 +1,7 @@
 """Circuits by the rulebook, drawn from a seed: straights, turns, hairpins, chicanes and slaloms, closed to a lap.
 
 Each element begins with a straight. Where a lap of them ends is linear in the lengths of the straights, so those are
-what closes it: the lengths nearest to the ones drawn. What breaks a rule is thrown away and drawn anew.
+what closes it: the lengths nearest to the ones drawn. What breaks a rule is thrown away and drawn again.
 """
 
 from __future__ import annotations
