@@ -6,21 +6,25 @@ import argparse
 import json
 import os
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 
-EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain can0 --seconds 10"
+EXAMPLE = "fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
-From the frames alone: a timeline, and for every emergency brake and every
-refusal to start the cause, the evidence and what to do about it; then the
-verdict that check gives. Exit status: as for check (the emergency brake that a
+From the frames alone: for every emergency brake and every refusal to start the
+cause, the evidence and what to do about it; then the verdict that check gives.
+With --timeline everything that happened before, too. Exit status: as for check (the emergency brake that a
 mission ends with is no problem)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_log_arguments(parser, messages=False)
+    parser.add_argument(
+        "--timeline", action="store_true", help="what happened, moment by moment, and what to record next time"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
 
 
@@ -34,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     verdict, shown = found.verdict, found.verdict.explanation
     told = {(incident.kind.slug, incident.t_ns) for incident in shown.incidents}
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
+    text: Iterable[str] = text_lines(shown, sources.name, timeline=args.timeline, colour=colour)
+    for line in json_lines(shown, sources.name) if args.json else text:
         print(line)
     others = tuple(one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told)
     text = (*replace(verdict, findings=others).lines(), f"verdict: {verdict.line()}")

@@ -438,6 +438,16 @@ def test_the_answer_comes_last_with_cause_chain_and_remedy(explain: Explain, fau
     assert "\033" not in out, "no colours where nobody sees them"
 
 
+def test_the_cause_stands_on_a_screen_and_the_timeline_is_asked_for(
+    explain: Explain, faulty: Frames, tmp_path: Path
+) -> None:
+    path = written(faulty, tmp_path / "run.log")
+    short, whole = (explain(path, *words)[1].splitlines() for words in ((), ("--timeline",)))
+    assert len(short) <= 14 and "AS_STATE AS_READY → AS_DRIVING" not in "\n".join(short)
+    assert f"(--timeline: what happened until then, {len(explained(Record(faulty)).events)} lines)" in short[1]
+    assert "AS_STATE AS_READY → AS_DRIVING" in "\n".join(whole) and set(short[2:]) <= set(whole)
+
+
 def test_what_makes_it_not_ok_is_named_beside_the_story(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
     lacking = nominal.only(nominal.can_id != 0x523)
     _, out, _ = explain(written(lacking, tmp_path / "run.log"))

@@ -39,31 +39,38 @@ def extent(story: Explanation) -> str:
 # ---------------------------------------------------------------- for people
 
 
-def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterator[str]:
-    """The explanation as lines: timeline first, so that the answer stands at the end, where the eye is."""
+def text_lines(story: Explanation, name: str, *, timeline: bool = False, colour: bool = False) -> Iterator[str]:
+    """The explanation as lines: each cause with what to do. `timeline`: all that happened before it, and what to record
+    next time; the answer stands at the end, where the eye is.
+    """
 
     def paint(text: str, code: str) -> str:
         return f"\033[{code}m{text}\033[0m" if colour and code else text
 
     heading = story.heading
     yield paint(f"{name}: {extent(story)}", "1")
-    yield f"interface revision {heading['revision']} ({heading['revision_reason']})"
+    if timeline:
+        yield f"interface revision {heading['revision']} ({heading['revision_reason']})"
     for problem in story.problems:
         yield paint(f"note: {problem}", "33")
-    yield ""
-    for event in story.events:
+    if timeline:
+        yield ""
+    for event in story.events if timeline else ():
         where = f"  [0x{event.can_id:03X}]" if event.can_id is not None else ""
         text = paint(event.text, _COLOURS[event.weight])
         yield f"{seconds(story, event.t_ns):9.3f} s  {event.topic:<9} {text}{paint(where, '2')}"
-    yield f"{seconds(story, story.end_ns):9.3f} s  {'':<9} {story.closing}"
+    if timeline:
+        yield f"{seconds(story, story.end_ns):9.3f} s  {'':<9} {story.closing}"
+    else:
+        yield f"{story.closing} (--timeline: what happened until then, {len(story.events)} lines)"
     for incident in story.incidents:
         yield ""
-        yield from _incident_lines(story, incident, paint)
+        yield from _incident_lines(story, incident, paint, more=timeline)
     yield ""
     yield paint(verdict(story), "32;1" if story.clean else "31;1")
 
 
-def _incident_lines(story: Explanation, incident: Incident, paint: Any) -> Iterator[str]:
+def _incident_lines(story: Explanation, incident: Incident, paint: Any, *, more: bool) -> Iterator[str]:
     colour = "33;1" if incident.planned else "31;1"
     planned = " (as planned)" if incident.planned else ""
     heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"
@@ -74,7 +81,8 @@ def _incident_lines(story: Explanation, incident: Incident, paint: Any) -> Itera
     yield from _wrapped(f"what to do: {first.cause.remedy}.", "  ", paint)
     if first.sureness < Sureness.SHOWN:
         yield from _wrapped(f"how sure: this {first.sureness.words}; the log does not prove it.", "  ", paint)
-    if record := story.to_record(first.cause):
+    record = story.to_record(first.cause) if more else ""
+    if record:
         yield from _wrapped(f"to know more, record next time: {record}.", "  ", paint)
     for other in incident.candidates[1 : 1 + _ALSO]:
         step = other.steps[0]
