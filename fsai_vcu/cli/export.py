@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
         "other, as the segments of a recording",
     )
-    add("--format", choices=_FORMATS, help="what to make")
+    add("--format", choices=_FORMATS, help="what to make; it must be said")
     add(
         "-o",
         "--output",

@@ -130,7 +130,7 @@ def _rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
     """(what is typed, what it means) of each argument and option but --help."""
     formatter = parser._get_formatter()
     for action in [*parser._get_positional_actions(), *parser._get_optional_actions()]:
-        if "--help" not in action.option_strings:
+        if "--help" not in action.option_strings and action.help is not argparse.SUPPRESS:
             yield _typed(action), " ".join(formatter._expand_help(action).split())
 
 

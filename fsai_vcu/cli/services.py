@@ -61,11 +61,12 @@ def ros_errors() -> Iterator[None]:
     except ValueError as error:
         raise UserError(f"--namespace {error}") from error
     except RuntimeError as error:  # rclpy's
+        why = printable((str(error).splitlines() or ["it gives no reason"])[0], LINE)
         if os.environ.get("ROS_SECURITY_ENABLE") != "true":
-            raise UserError(f"ROS 2 does not start: {printable(str(error).splitlines()[0], LINE)}") from error
+            raise UserError(f"ROS 2 does not start: {why}") from error
         keystore = os.environ.get("ROS_SECURITY_KEYSTORE", "the one that ROS_SECURITY_KEYSTORE is to name")
         raise UserError(
-            f"DDS is to be encrypted and cannot be ({str(error).splitlines()[0]}): it needs the distribution's ROS 2, "
+            f"DDS is to be encrypted and cannot be ({why}): it needs the distribution's ROS 2, "
             f"and keys of `fsai-vcu enclaves` that this user may read, in {keystore}"
         ) from error
 

@@ -244,7 +244,7 @@ class Decoding:
 
 
 class LogRead(NamedTuple):
-    """What was read of one log of several. problems, notes: one line each, or ''."""
+    """The reading of one log of several. problems, notes: one line each, or ''."""
 
     name: str
     kind: str
@@ -534,7 +534,7 @@ def _unfolded(name: str, left_out: list[Path]) -> list[str]:
 
 
 def _beside_logs(path: Path) -> bool:
-    """What a recording or a drive leaves beside its log, and nobody takes for one."""
+    """True for a file that a recording or a drive leaves beside its log, and nobody takes for one."""
     return path.name.startswith(".") or path.suffix.lower() in _BESIDE
 
 

@@ -8,7 +8,7 @@ from fsai_vcu.interface.enums import AsState
 
 
 class Light(NamedTuple):
-    """What the car shows, and the colours of every picture of that state (CSS and matplotlib).
+    """The lights that the car shows, and the colours of every picture of that state (CSS and matplotlib).
 
     `colour` is off, yellow or blue. `fill` is paler where the car's light is steady: a picture does not flash. `ink` is
     readable on it.
@@ -31,7 +31,7 @@ LIGHTS: Final = {
 """Lights: interface specification v4.0, ASSI."""
 
 BAND_ALPHA: Final = 0.2
-"""How much of `fill` a band of a state has behind curves."""
+"""The opacity of a state's band behind curves, of `fill`."""
 
 UNKNOWN: Final = Light("unknown", False, "#dde2e8", "#14181d")
 """No AS state is received, or none that the interface names."""

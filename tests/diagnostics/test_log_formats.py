@@ -241,6 +241,25 @@ def test_a_bag_of_ros_2_is_read_whole_or_named(tmp_path: Path) -> None:
     assert frames == [] and "without a topic of can_msgs/Frame: record the bus itself" in log.problems.texts[0]
 
 
+def test_a_bag_whose_topic_has_no_name_loses_its_rows_only(tmp_path: Path) -> None:
+    bag(tmp_path)
+    with sqlite3.connect(tmp_path / "made.db3") as database:
+        database.execute("ALTER TABLE topics RENAME TO named")
+        database.execute("CREATE TABLE topics (id INTEGER, name, type TEXT)")
+        database.execute("INSERT INTO topics SELECT id, 5, type FROM named")
+    database.close()
+    frames, log = given(tmp_path / "run.db3", (tmp_path / "made.db3").read_bytes())
+    assert frames == [] and log.problems.count == len(ROWS)
+
+
+@pytest.mark.parametrize("times", ["absolute", "relative"])
+def test_a_year_that_no_clock_has_is_a_date_not_read(times: str, tmp_path: Path) -> None:
+    rows = "".join(f"   {n / 100:.6f} 1  520             Rx   d 1 01\n" for n in range(200))
+    head = f"date Mon Sep 4 10:00:00.000 am 2917\nbase hex  timestamps {times}\n"
+    frames, log = given(tmp_path / "run.asc", (head + rows).encode())
+    assert len(frames) == 200 and "the date in the head cannot be read" in log.problems.note_line()
+
+
 @pytest.mark.parametrize("make", [sqlite_db, bag])
 def test_a_database_cut_or_changed_hides_no_loss(make: Callable[[Path], bytes], tmp_path: Path) -> None:
     content = bytearray(make(tmp_path))

@@ -105,6 +105,11 @@ def test_a_wrong_stamp_moves_no_other(wrong_s: float, rows: list[int]) -> None:
 # ---------------------------------------------------------------- what is no clock
 
 
+def test_a_log_whose_stamps_are_whole_seconds_is_judged(drive: Frames) -> None:
+    verdict = judged(replace(drive, t_ns=drive.t_ns // S * S))
+    assert "two cars" not in " ".join(verdict.lines()) and verdict.lines()
+
+
 @pytest.mark.parametrize("pause_ms", [200, 500, 1230])
 def test_a_pause_of_the_recording_stays_a_pause(drive: Frames, pause_ms: int) -> None:
     at_ns = drive.t_ns[-1] - 700 * MS

@@ -7,6 +7,7 @@ from datetime import datetime, timezone
 import pytest
 
 from fsai_vcu.diagnostics.log.part import Part
+from fsai_vcu.interface.errors import WrongUse
 from fsai_vcu.interface.units import S
 
 FIRST_NS = int(datetime(2026, 7, 18, 14, 3, 20, tzinfo=timezone.utc).timestamp()) * S
@@ -35,11 +36,22 @@ def test_a_time_means_what_the_log_has(words: str, length_s: float, since_s: flo
     assert part.bounds(FIRST_NS)[0] == FIRST_NS + since_s * S
 
 
+def test_a_log_that_counts_from_zero_has_no_time_of_day() -> None:
+    part = Part("0:30")
+    part.ends_at(3600 * S)
+    assert part.bounds(0)[0] == 30 * S
+
+
 def test_of_a_log_without_a_known_end_minutes_are_meant() -> None:
     part = Part("14:04")
     assert part.needs_the_end
     assert part.bounds(FIRST_NS)[0] == FIRST_NS + 844 * S
     assert not any(Part(words).needs_the_end for words in ("12.5", "14:03:30", None))
+
+
+def test_a_part_that_ends_before_it_begins_is_wrong_use() -> None:
+    with pytest.raises(WrongUse, match="--from 1:30 is after --to 1:00"):
+        Part("1:30", "1:00").bounds(FIRST_NS)
 
 
 @pytest.mark.parametrize("words", ["soon", "nan", "-3", "1:60", "1:99.5", "1:-3", "1:2:3:4", ":", "24:00:00", "1e400"])

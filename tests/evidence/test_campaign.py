@@ -208,7 +208,7 @@ def test_a_campaign_continues_with_the_same_sources_only(
 def cluster() -> Iterator[str]:
     distributed: Any = import_module("distributed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, protocol="tcp"
     ) as made:
         yield made.scheduler_address
 

@@ -108,6 +108,12 @@ def test_timing_posts_are_the_line_where_there_is_no_gate(at_m: float, posts: fl
     )
 
 
+def test_a_circuit_without_posts_is_saved_without_any() -> None:
+    found = parse_track(as_csv(without(small_oval(), GATE), on_lane(small_oval(), -8.0)), "loop.csv")
+    text = as_csv(found, found.staging(Ami.AUTOCROSS, NOSE_M))
+    assert "timekeeping" not in text and parse_track(text, "again.csv").line_by == found.line_by
+
+
 @pytest.mark.parametrize(("before_m", "stays"), [(1.0, False), (4.7, True), (6.0, True), (7.3, True), (25.0, False)])
 def test_a_line_that_no_gate_shows_is_as_far_as_by_the_rules(
     before_m: float, stays: bool, capsys: pytest.CaptureFixture[str]

@@ -331,7 +331,7 @@ def scheduling_of(process: Path) -> Scheduling | None:
 
 
 def listening_on_networks(proc: Path) -> tuple[str, ...] | None:
-    """Where, other than on the loopback and at multicast addresses, a node of this software takes UDP or TCP.
+    """Addresses, other than the loopback and multicast ones, at which a node of this software takes UDP or TCP.
 
     None where nothing was found, and this user may not look at all of them: every node has a socket.
     """

@@ -114,7 +114,7 @@ def _heard(record: Record, t_ns: int, kind: Any) -> dict[str, Any] | None:
 
 
 def moment(record: Record, t_ns: int) -> Moment:
-    """What the log shows up to `t_ns`, as a bridge would have it, and the history of it."""
+    """The vehicle state up to `t_ns`, as a bridge would have it, and its history."""
     seen: dict[str, Any] = {}
     kinds: tuple[Any, ...] = (VcuStatus, VcuSteer, VcuBrake)
     for kind in kinds:
@@ -144,7 +144,7 @@ def moment(record: Record, t_ns: int) -> Moment:
 
 
 def unmet(state: AsState, record: Record, t_ns: int) -> list[Candidate]:
-    """What does not hold at `t_ns` of what is asked in a state: what must be put right first, then what follows."""
+    """The conditions of a state that do not hold at `t_ns`: those to be put right first, then those that follow."""
     found = []
     for condition, source, evidence, follows in conditions_unmet(moment(record, t_ns), state):
         signal = _SIGNALS.get(source)

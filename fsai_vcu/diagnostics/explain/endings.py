@@ -222,8 +222,8 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
 def _still(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
     """A HANDSHAKE that toggled, and then stood for so long that its echo was missed, or nothing was done any more."""
     still = record.span_at(sig.HANDSHAKE, t_ns - 1)
-    if still is None or still.before is None or t_ns - still.begin_ns < STOOD_NS:
-        return []
+    if still is None or still.before is None or t_ns - still.begin_ns < STOOD_NS or not len(record.series(sig.ECHO)):
+        return []  # without its echo nobody knows whether it was sent back
     length = ms(still.end_ns - still.begin_ns)
     words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
     stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))

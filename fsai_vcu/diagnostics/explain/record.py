@@ -197,7 +197,7 @@ class WrongLengths(NamedTuple):
 
     @property
     def words(self) -> str:
-        """How long they are, and how long they should be."""
+        """The length they have, and the one they should have."""
         return f"{' or '.join(map(str, self.lengths))} bytes, and must have {self.right}"
 
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS
+from fsai_vcu.diagnostics.log.candump_line import MAX_NS
 from fsai_vcu.diagnostics.log.frames import Ints, LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.rows import (
@@ -42,7 +42,6 @@ _PLAIN = re.compile(
     rb" *(?P<time>\d{1,10})\.(?P<decimals>\d{1,9}) +(?P<channel>\d{1,3}) +(?P<id>[0-9A-Fa-f]{1,8})(?P<wide>[xX]?) +"
     rb"(?P<way>[RT])x +d (?P<length>[0-8])"
 )
-_MOST_NS: Final = MAX_SECONDS * 1_000_000_000
 _TAIL: Final = b"  Length = "  # what Vector's tools write behind the data
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,6}))?\s*([ap])?\.?m?\.?\b", re.IGNORECASE)
 # By the first letters in English, German, French, Italian, Spanish, Portuguese; ? is a letter that was garbled.
@@ -91,14 +90,14 @@ class AscRows(Rows):
         return self._added_up if self._relative else None
 
     def _added_up(self, t_ns: Ints) -> Ints:
-        """Of frames whose rows say differences; behind them came a date, or a row that is no frame but takes time."""
-        if self._now_ns + float(t_ns.sum(dtype=np.float64)) > _MOST_NS:
-            t_ns = np.minimum(np.cumsum(t_ns, dtype=np.float64), float(_MOST_NS - self._now_ns)).astype(np.int64)
+        """The times of frames whose rows say differences; a date, or a row that takes time, may come behind them."""
+        if self._now_ns + float(t_ns.sum(dtype=np.float64)) > MAX_NS:
+            t_ns = np.minimum(np.cumsum(t_ns, dtype=np.float64), float(MAX_NS - self._now_ns)).astype(np.int64)
         else:
             t_ns = np.cumsum(t_ns)
         t_ns = t_ns + self._now_ns
         last_ns = int(t_ns[-1]) if len(t_ns) else self._now_ns
-        self._now_ns = min(max(last_ns + self._passed_ns, self._begun_ns, 0), _MOST_NS)
+        self._now_ns = min(max(last_ns + self._passed_ns, self._begun_ns, 0), MAX_NS)
         self._passed_ns = self._begun_ns = 0
         return t_ns
 
@@ -137,7 +136,7 @@ class AscRows(Rows):
         if not date.strip():
             return
         begin_ns = date_ns(date)
-        if begin_ns is None:
+        if begin_ns is None or begin_ns > MAX_NS:
             self.told.note(f"the date in the head cannot be read, and times count from 0: '{date.strip()[:60]}'")
         elif self._relative:
             self._begun_ns = begin_ns

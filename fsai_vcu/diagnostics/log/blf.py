@@ -13,7 +13,7 @@ from typing import IO, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
+from fsai_vcu.diagnostics.log.candump_line import MAX_EXTENDED_ID, MAX_NS, MAX_SECONDS, MAX_STANDARD_ID
 from fsai_vcu.diagnostics.log.frames import EXTENDED, RECEIVED, SENT, Frames, LogFrame, frames_of
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
 from fsai_vcu.diagnostics.log.rows import (
@@ -180,7 +180,7 @@ class BlfFile:
         extended = rows["id"] >> np.uint32(31) != 0
         number = rows["id"] & np.uint32(0x7FFF_FFFF)
         way = rows["flags"] & np.uint8(15)
-        most = np.uint64(MAX_SECONDS * 1_000_000_000 - self._begin_ns)
+        most = np.uint64(MAX_NS - self._begin_ns)
         tens = rows["units"] == 1
         ok = (rows["head"] == heads[0]) & (rows["dlc"] <= 8) & (way <= 1) & (rows["flags"] & np.uint8(0x80) == 0)
         ok &= number <= np.where(extended, np.uint32(MAX_EXTENDED_ID), np.uint32(MAX_STANDARD_ID))

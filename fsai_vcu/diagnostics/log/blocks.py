@@ -17,7 +17,7 @@ import numpy.typing as npt
 from fsai_vcu.diagnostics.log.candump_line import (
     ERROR_FLAG,
     MAX_EXTENDED_ID,
-    MAX_SECONDS,
+    MAX_NS,
     MAX_STANDARD_ID,
     Unreadable,
     read_lines,
@@ -47,12 +47,11 @@ _LOOKED_AT: Final = 200  # lines, for one that has a shape
 _FEW: Final = 32  # lines that are read one by one where the reader has just learned something
 _BLANK: Final = 3  # spaces at a line's end
 _TAIL: Final = 60  # characters behind the data; a second row in the line has more
-_MOST_NS: Final = MAX_SECONDS * 1_000_000_000
 _SPACE, _NEWLINE, _RETURN = b" \n\r"
 
 
 class _Shape(NamedTuple):
-    """What lines of one kind have in common: their head, in which the digits are zeros, and where these are.
+    """The common part of lines of one kind: their head, in which the digits are zeros, and where these are.
 
     seconds: of the time in the unit of the format, with its decimals behind a point; empty: no time.
     length: the place of the number of data bytes, and each byte follows a space; 0: they follow each other.
@@ -86,7 +85,7 @@ class _Shape(NamedTuple):
 
     @property
     def key(self) -> object:
-        """What tells it from others."""
+        """The key that tells it from others."""
         return self.head, self.channel, self.flags, self.wide
 
     def constants(self) -> Iterator[tuple[int, bytes]]:
@@ -232,9 +231,8 @@ def _of_shape(
     ok &= (digits <= 9).all(axis=0)
     ok &= (columns[shape.number] - np.uint8(ord("0")) <= 9).all(axis=0)
     t_ns = _number(digits, 10) * (pattern.unit_ns // 10 ** (shape.decimals.stop - shape.decimals.start))
-    ok &= t_ns >= 0  # too great a number has become negative
+    ok &= (t_ns >= 0) & (t_ns <= MAX_NS - pattern.begin_ns)  # too great a number has become negative
     t_ns += pattern.begin_ns
-    ok &= t_ns <= _MOST_NS
 
     nibbles, id_ok = _nibbles(columns[shape.id])
     ok &= id_ok.all(axis=0)
@@ -284,7 +282,7 @@ def _of_shape(
 
 
 def _ended(text: Characters, ends: Ints, rest: Ints, tail: bytes) -> Mask:
-    """Where the last so many characters of a line are spaces, or what the format writes behind the data."""
+    """True for lines whose last so many characters are spaces, or what the format writes behind the data."""
     ended: Mask = rest == 0
     if ended.all():
         return ended
@@ -302,14 +300,14 @@ def _ended(text: Characters, ends: Ints, rest: Ints, tail: bytes) -> Mask:
 
 
 def _nibbles(characters: Characters) -> tuple[Characters, Mask]:
-    """What hexadecimal digits are worth, and whether they are such digits."""
+    """The values of hexadecimal digits, and whether they are such digits."""
     digit, letter = characters - np.uint8(ord("0")), (characters | np.uint8(0x20)) - np.uint8(ord("a"))
     worth = (characters & np.uint8(15)) + np.uint8(9) * (characters >> np.uint8(6))
     return worth, (digit <= 9) | (letter <= 5)
 
 
 def _number(digits: Characters, base: int) -> Ints:
-    """Of each column of digits, the highest first."""
+    """The number in each column of digits, the highest first."""
     number = np.zeros(digits.shape[1], np.int64)
     for row in digits:
         number *= base

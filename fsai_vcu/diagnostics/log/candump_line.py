@@ -11,6 +11,7 @@ from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.printable import printable
 
 MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
+MAX_NS: Final = MAX_SECONDS * 1_000_000_000
 MAX_STANDARD_ID: Final = 0x7FF
 MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
 ERROR_FLAG: Final = 0x2000_0000  # linux/can.h, CAN_ERR_FLAG

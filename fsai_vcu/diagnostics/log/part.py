@@ -10,9 +10,11 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.interface.errors import WrongUse
 
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::([0-5]\d(?:\.\d+)?))?")
 _SECOND_NS: Final = 1_000_000_000
+_DATED_NS: Final = 946_684_800 * _SECOND_NS  # 2000: earlier times count from something else than a calendar
 
 
 class Part:
@@ -47,7 +49,7 @@ class Part:
 
     @property
     def needs_the_end(self) -> bool:
-        """Whether a bound means one thing or another depending on when the log ends; `ends_at` then says so."""
+        """True where a bound depends on when the log ends; `ends_at` then says so."""
         return self._last_ns is None and any(each and each.count(":") == 1 for each in (self._begin, self._end))
 
     def ends_at(self, last_ns: int) -> None:
@@ -55,9 +57,11 @@ class Part:
         self._last_ns = last_ns
 
     def bounds(self, first_ns: int) -> tuple[float, float]:
-        """(from, to) in ns of the log's clock; its first frame was at `first_ns`."""
+        """(from, to) in ns of the log's clock; its first frame was at `first_ns`. Raises WrongUse for an empty one."""
         last_ns = first_ns if self._last_ns is None else self._last_ns
         low, high = (_seconds(each, first_ns, last_ns) for each in (self._begin, self._end))
+        if low is not None and high is not None and low > high:
+            raise WrongUse(f"--from {self._begin} is after --to {self._end}")
         return (
             -math.inf if low is None else first_ns + low * _SECOND_NS,
             math.inf if high is None else first_ns + high * _SECOND_NS,
@@ -100,5 +104,5 @@ def _seconds(text: str | None, first_ns: int, last_ns: int) -> float | None:
     if first - moment > timedelta(hours=12):  # a log over midnight
         moment += timedelta(days=1)
     since_s = (moment - first).total_seconds()
-    has_minute = -60.0 < since_s <= (last_ns - first_ns) / _SECOND_NS
+    has_minute = first_ns >= _DATED_NS and -60.0 < since_s <= (last_ns - first_ns) / _SECOND_NS
     return since_s if second is not None or has_minute else into_s

@@ -16,7 +16,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from fsai_vcu.diagnostics.log.blocks import parse_block
-from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_SECONDS, too_long
+from fsai_vcu.diagnostics.log.candump_line import LONGEST_LINE, MAX_NS, too_long
 from fsai_vcu.diagnostics.log.formats import CANDUMP, Format, foreign_words, format_of
 from fsai_vcu.diagnostics.log.frames import Frames, Ints, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
@@ -240,7 +240,7 @@ class _AddedUp:
             return frames
         t_ns: Ints = self._now_ns + np.cumsum(frames.t_ns)
         self._now_ns = int(t_ns[-1])
-        return frames.at(np.minimum(t_ns, MAX_SECONDS * 1_000_000_000))
+        return frames.at(np.minimum(t_ns, MAX_NS))
 
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:

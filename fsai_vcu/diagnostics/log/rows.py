@@ -14,7 +14,7 @@ from fsai_vcu.diagnostics.log.candump_line import (
     MAX_CLASSIC_DLC,
     MAX_EXTENDED_ID,
     MAX_FD_BYTES,
-    MAX_SECONDS,
+    MAX_NS,
     MAX_STANDARD_ID,
 )
 from fsai_vcu.diagnostics.log.frames import Ints, LogFrame
@@ -71,14 +71,14 @@ class Rows:
         self.told = told
 
     def pattern(self) -> Pattern | None:
-        """How most rows are read, by what is known so far; None: one by one. What it takes, a call takes for the same.
+        """The pattern of most rows, by what is known so far; None: one by one. What it takes, a call takes for the same.
 
         It is asked for again where `state` has changed.
         """
         return None
 
     def state(self) -> object:
-        """What the rows so far have told of how the following ones are read."""
+        """Everything that the rows so far have told of how the following ones are read."""
         return None
 
     def times(self) -> Callable[[Ints], Ints] | None:
@@ -130,7 +130,7 @@ def frame_of(
     sent: bool | None = None,
 ) -> LogFrame:
     """A frame of a row, checked. length: data bytes that are announced. Raises ValueError."""
-    if not 0 <= t_ns <= MAX_SECONDS * 1_000_000_000:
+    if not 0 <= t_ns <= MAX_NS:
         raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
     try:
         can_id = int(id_text, base)
@@ -164,7 +164,7 @@ def error_frame(
     t_ns: int, channel: str, kinds: int, *, controller: int = 0, protocol: int = 0, sent: int = 0, received: int = 0
 ) -> LogFrame:
     """Error frame of SocketCAN for a bus error that a log reports. sent, received: the error counters."""
-    if not 0 <= t_ns <= MAX_SECONDS * 1_000_000_000:
+    if not 0 <= t_ns <= MAX_NS:
         raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
     data = bytes((0, controller, protocol, 0, 0, 0, min(sent, 255), min(received, 255)))
     return LogFrame(t_ns, channel, kinds, data, error=True)

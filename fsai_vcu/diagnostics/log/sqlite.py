@@ -68,9 +68,9 @@ def _frame(
     )  # fmt: skip
 
 
-def _bag_frame(bag_ns: int, data: bytes, topic: str | None) -> LogFrame:
+def _bag_frame(bag_ns: int, data: bytes, topic: object) -> LogFrame:
     """A can_msgs/Frame as CDR: header (stamp, frame_id), id, three flags, DLC, eight bytes of data."""
-    if topic is None:
+    if not isinstance(topic, str):
         raise ValueError("it is of no topic")
     order = "<" if data[1:2] == b"\x01" else ">"
     body = data[4:]

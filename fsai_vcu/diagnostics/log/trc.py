@@ -6,7 +6,7 @@ import re
 from functools import cache
 from typing import Final
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS
+from fsai_vcu.diagnostics.log.candump_line import MAX_NS
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.rows import (
@@ -51,7 +51,6 @@ _VERSIONS_1: Final = {(1, 0): ")OILD", (1, 1): ")OdILD", (1, 2): ")OBdILD", (1, 
 _OLDEST, _NEWEST = (1, 0), (3, 0)
 _DAYS_TO_1970: Final = 25569  # from 1899-12-30
 _DAY_NS: Final = 86_400_000_000_000
-_LATEST_NS: Final = MAX_SECONDS * 1_000_000_000
 _COLUMNS: Final = {(2, 0): "NOTIdlD", (2, 1): "NOTBIdRLD"}
 _FD: Final = {"FD": (False, False), "FB": (True, False), "FE": (False, True), "BI": (True, True)}  # BRS, ESI
 _STATES: Final = (
@@ -74,7 +73,7 @@ class TrcRows(Rows):
 
     def pattern(self) -> Pattern | None:
         expression = _expression(_VERSIONS_1.get(self._version, self._columns))
-        if expression is None or not _OLDEST <= self._version <= _NEWEST or self._start_ns > _LATEST_NS:
+        if expression is None or not _OLDEST <= self._version <= _NEWEST or self._start_ns > MAX_NS:
             return None
         return Pattern(expression, _channel_of, lambda found: len(found["id"]) > 4, MS, self._start_ns)
 
@@ -211,7 +210,7 @@ class TrcRows(Rows):
 
 @cache
 def _expression(columns: str) -> re.Pattern[bytes] | None:
-    """Of rows with these columns; None where they are to be read one by one."""
+    """The pattern of rows with these columns; None where they are to be read one by one."""
     if not columns.endswith("D") or len(set(columns)) < len(columns) or not {"O", "I"} <= set(columns) <= set(_ROW):
         return None
     if len({"L", "l"} & set(columns)) != 1 or columns[-2] not in "Ll":

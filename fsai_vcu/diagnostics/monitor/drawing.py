@@ -141,7 +141,7 @@ def instruments(picture: Picture, trends: Mapping[str, Series], width: int) -> T
 
 
 def _bar(name: str, one: Actuator, full: float, width: int, *, both: bool) -> Text:
-    """What is given as a bar from 0 on, what is asked for as a mark, the limit as an edge; left is positive."""
+    """A bar from 0 to what is given, a mark at what is asked for, an edge at the limit; left is positive."""
     room = max(8, width - 13)
     zero = room // 2 if both else 0
 

@@ -1,4 +1,4 @@
-"""What the page's tiles show, as JSON types, from pictures of the monitor. Pure."""
+"""The contents of the page's tiles, as JSON types, from pictures of the monitor. Pure."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def state_of(picture: Picture) -> dict[str, Any]:
 
 
 def _faults(names: Iterable[str]) -> list[dict[str, Any]]:
-    """Those of one cause together."""
+    """The faults, those of one cause together."""
     found: dict[str, list[str]] = {}
     for name in names:
         found.setdefault(_CAUSES.get(name, name), []).append(name)
@@ -55,7 +55,7 @@ def _faults(names: Iterable[str]) -> list[dict[str, Any]]:
 
 
 def _missing(messages: Sequence[MessagePicture]) -> Iterator[str]:
-    """What does not come as it should, in lines."""
+    """Lines on what does not come as it should."""
     lost = [(one, one.age_s) for one in messages if one.age_s is not None and one.freshness is Freshness.LOST]
     if len(lost) > _EACH:
         yield f"lost: {', '.join(f'0x{one.number}' for one, _ in lost)}"
@@ -87,7 +87,8 @@ def states_of(
     changed = np.unique(np.fromiter((t_ns for t_ns in changes_ns if begin_ns <= t_ns <= end_ns), np.int64))
     changed = changed[np.linspace(0, len(changed) - 1, min(len(changed), CHANGES)).astype(np.int64)]
     count = min(SECONDS, (end_ns - begin_ns) // S + 2)
-    moments = np.union1d(changed, np.linspace(begin_ns, end_ns, count).astype(np.int64))
+    # Spread from 0 on: a date in ns has more digits than a float.
+    moments = np.union1d(changed, begin_ns + np.linspace(0, end_ns - begin_ns, count).astype(np.int64))
     before: dict[str, Any] = {}
     low = 0
     for t_ns, high in zip(moments.tolist(), np.searchsorted(frames.t_ns, moments, side="right").tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""What the page draws of a log: curves thinned out without losing a peak, lanes of states, the driven path; figures."""
+"""The drawings of a log: curves thinned out without losing a peak, lanes of states, the driven path; figures."""
 
 from __future__ import annotations
 

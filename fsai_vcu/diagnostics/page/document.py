@@ -211,7 +211,7 @@ def _chain(incident: Incident, one: Candidate) -> Iterator[str]:
 
 
 def _plots(first: list[Plot], drawn: list[Plot]) -> Iterator[str]:
-    """What was asked for before the lanes of states, the rest behind them."""
+    """The plots: those asked for before the lanes of states, the rest behind them."""
     yield (
         '<p class="hint">A click goes to that moment. Drag to zoom, double-click for all; on a phone two fingers. Keys'
         " in a plot: arrows, + − 0.</p>\n"

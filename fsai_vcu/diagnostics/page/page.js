@@ -320,7 +320,8 @@ function play() {
     const place = Math.max(0, at(moments, now + 1e-6)), s = { ...states[place], clock: "" };
     if (s.as_state_s != null) s.as_state_s += Math.max(0, now - moments[place]);
     s.speed_mps = valueAt(trends.get("speed"), now);
-    s.load = (valueAt(trends.get("load"), now) ?? NaN) / 100 || null;
+    const load = valueAt(trends.get("load"), now);
+    s.load = load == null ? null : load / 100;
     s.actuators = Object.fromEntries(Object.entries(s.actuators).map(([name, one]) => [
       name, { ...one, asked: valueAt(trends.get(`${name} asked`), now), given: valueAt(trends.get(`${name} given`), now) },
     ]));

@@ -1,4 +1,4 @@
-"""What is not as it should be in the figures of one bus: they are held against the bus table and the databases.
+"""Findings in the figures of one bus, which are held against the bus table and the databases.
 
 What the explanation has told already (`Known`) is not said a second time: each finding is made once, with all that goes
 with it, and none is taken back.
@@ -226,7 +226,7 @@ class _Judge:
             yield self._finding(True, "wrong-length", text, can_id, message.wrong_length_at_s)
         if not message.extended and message.remote and can_id in AI_IDS:
             text = f"{name}: {message.remote} remote frames"
-            yield self._finding(True, "intruder", text, can_id, message.remote_at_s, "remote_frames")
+            yield self._finding(True, "remote-frames", text, can_id, message.remote_at_s, "remote_frames")
         if not message.extended and message.sent and can_id in RESERVED_IDS:
             text = f"{name}: sent {message.sent} times by this computer, which must not"
             yield self._finding(True, "reserved", text, can_id, message.sent_at_s)

@@ -76,7 +76,7 @@ class ClockStep(NamedTuple):
 
 
 def steps_forward(record: Record, t_ns: Ints) -> list[ClockStep]:
-    """Where nothing breaks over a gap in a log. `t_ns`: of all its frames, none before that of the one before it."""
+    """Gaps of a log over which nothing breaks. `t_ns`: of all its frames, none before that of the one before it."""
     rows = np.flatnonzero(np.diff(t_ns) > COMMS_LOST_NS) + 1
     found, moved_ns = [], 0
     for row in rows[:_MOST_GAPS].tolist():
@@ -134,7 +134,7 @@ def _missing(record: Record, begin_ns: int, end_ns: int) -> Iterator[tuple[int, 
 
 
 def _caught_up(record: Record, begin_ns: int, end_ns: int) -> bool:
-    """Whether more frames come after the gap than before it, or later: then they were held back, and their stamps are
+    """True where more frames come after the gap than before it, or later: then they were held back, and their stamps are
     late."""
     windows = (end_ns, begin_ns - _WINDOW_NS, end_ns + 3 * _WINDOW_NS)
     t_ns = record.frames.t_ns
@@ -144,7 +144,7 @@ def _caught_up(record: Record, begin_ns: int, end_ns: int) -> bool:
 
 
 def _handshake_breaks(record: Record, end_ns: int) -> bool:
-    """Whether the VCU's bit toggles with each frame and does not there, or stands and does not there."""
+    """True where the VCU's bit toggles with each frame and does not there, or stands and does not there."""
     bits = record.series(HANDSHAKE)
     place = int(np.searchsorted(bits.t_ns, end_ns))
     before, after = bits.values[max(place - _NEAR, 0) : place], bits.values[place : place + _NEAR]
@@ -156,14 +156,14 @@ def _handshake_breaks(record: Record, end_ns: int) -> bool:
 
 
 def _changes(record: Record, end_ns: int) -> bool:
-    """Whether the car's state is another one after it."""
+    """True where the car's state is another one after it."""
     state = record.series(AS_STATE)
     place = int(np.searchsorted(state.t_ns, end_ns))
     return 0 < place < len(state) and state.values[place - 1] != state.values[place]
 
 
 def _counted(record: Record, begin_ns: int, end_ns: int) -> tuple[bool, bool] | None:
-    """Whether a wheel turned, and whether a counter goes on that had counted; None where one breaks."""
+    """(a wheel turned, a counter goes on that had counted); None where one breaks."""
     turned = not_anew = False
     for signal in PULSES:
         pulses = record.series(signal)
@@ -184,7 +184,7 @@ def _counted(record: Record, begin_ns: int, end_ns: int) -> tuple[bool, bool] | 
 
 
 def _off_phase(record: Record, begin_ns: int, end_ns: int) -> bool:
-    """Whether the car's messages come at other times after the gap than they would after a pause of the recording."""
+    """True where the car's messages come at other times after the gap than they would after a pause of the recording."""
     if end_ns - begin_ns > _EXACT_NS:
         return False
     times = record.times(STATUS)
@@ -196,6 +196,8 @@ def _off_phase(record: Record, begin_ns: int, end_ns: int) -> bool:
     if len(usual) < _NEARLY_ALL * len(intervals):
         return False  # an adapter hands frames over in batches
     period_ns = float(usual.mean())
+    if period_ns <= 0.0:
+        return False  # the stamps are coarser than the period
     gap_ns = int(times[place] - times[place - 1])
     return abs(gap_ns - round(gap_ns / period_ns) * period_ns) > _OFF_NS
 
@@ -283,5 +285,5 @@ def impossible(buses: Sequence[BusStatistics]) -> str:
 
 
 def by_times(finding: Finding) -> bool:
-    """Whether a finding rests on the times of the log alone."""
+    """True for a finding that rests on the times of the log alone."""
     return finding.kind in _BY_TIMES

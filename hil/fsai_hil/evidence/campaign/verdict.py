@@ -247,7 +247,7 @@ def _too_late(
 
 
 def _implausible_too_long(seen: Observation, found: _Seen, demand: Demand, streaks: Sequence[Streak]) -> list[str]:
-    """What is certainly implausible for so long stops the car, and for longer brings ESTOP_REQUEST."""
+    """Demands of values that are certainly implausible: for so long the car stops, for longer ESTOP_REQUEST follows."""
     wrong = []
     assert demand.brake_ms is not None and demand.estop_ms is not None  # rows of this kind have both
     emergencies = (found.estop_ns, found.emergency_ns)

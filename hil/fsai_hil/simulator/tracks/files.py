@@ -69,7 +69,7 @@ def as_csv(track: Track, start: Pose) -> str:
     rows = ["tag,x,y,direction,x_variance,y_variance,xy_covariance"]
     for (x, y), color in zip(track.cones_xy_m, track.cone_colors, strict=True):
         rows.append(f"{ConeColor(color).name.lower()},{x:.4f},{y:.4f},0,0.01,0.01,0")
-    if TIMING_POSTS in track.line_by:
+    if track.line_by.endswith(TIMING_POSTS):
         lines = dict.fromkeys(line for line in (track.start_line, track.finish_line) if line is not None)
         posts = (line.ahead(0.0, left_m) for line in lines for left_m in (LANE_M, -LANE_M))
         rows += (f"timekeeping,{x:.4f},{y:.4f},0,0,0,0" for x, y in posts)

@@ -224,7 +224,7 @@ def _with_circuit(
     if start is not None and abs(past_m) < BEFORE_M:  # more exactly than by points of the line
         past_m = float(track.start_line.seen(*start.ahead(NOSE_M))[0])
     staged_m = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS]
-    unseen = len(found) == 1 and TIMING_POSTS in by  # a planner takes it to be where the rules have it
+    unseen = len(found) == 1 and by.endswith(TIMING_POSTS)  # a planner takes it to be where the rules have it
     if start is not None and past_m <= -TOUCHING_M and not (unseen and abs(past_m + staged_m) > UNSEEN_OFF_M):
         return replace(track, car_start=start)
     if start is not None:
