@@ -65,7 +65,7 @@ class Mismatch:
 
 
 def mismatches(record: Record, part_ns: TimeRange = ALWAYS) -> Iterator[Incident]:
-    """Times at which the car did not do what it was asked, in each stay in AS_DRIVING: of those at one time the longest.
+    """Times at which the car did not do what was asked, in each stay in AS_DRIVING: of those at one time the longest.
 
     Motors that nobody asked are told in every state.
     """

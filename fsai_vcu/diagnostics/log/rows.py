@@ -71,7 +71,7 @@ class Rows:
         self.told = told
 
     def pattern(self) -> Pattern | None:
-        """The pattern of most rows, by what is known so far; None: one by one. What it takes, a call takes for the same.
+        """The pattern of most rows, by what is known so far; None: one by one. What it takes, a call takes alike.
 
         It is asked for again where `state` has changed.
         """

@@ -134,7 +134,7 @@ def _missing(record: Record, begin_ns: int, end_ns: int) -> Iterator[tuple[int, 
 
 
 def _caught_up(record: Record, begin_ns: int, end_ns: int) -> bool:
-    """True where more frames come after the gap than before it, or later: then they were held back, and their stamps are
+    """True where more frames come after the gap than before, or later: then they were held back, and their stamps are
     late."""
     windows = (end_ns, begin_ns - _WINDOW_NS, end_ns + 3 * _WINDOW_NS)
     t_ns = record.frames.t_ns
@@ -184,7 +184,7 @@ def _counted(record: Record, begin_ns: int, end_ns: int) -> tuple[bool, bool] | 
 
 
 def _off_phase(record: Record, begin_ns: int, end_ns: int) -> bool:
-    """True where the car's messages come at other times after the gap than they would after a pause of the recording."""
+    """True where the car's messages come at other times after the gap than they would after a recording's pause."""
     if end_ns - begin_ns > _EXACT_NS:
         return False
     times = record.times(STATUS)

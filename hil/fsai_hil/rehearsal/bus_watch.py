@@ -79,7 +79,7 @@ class Wire:
         return max((t_ns - since_ns for t_ns, torque_nm in (*front, *rear) if torque_nm > 0), default=0)
 
     def rests_after(self, since_ns: int) -> float:
-        """Time after `since_ns` from which the car stands to the end; infinite if it moves then, or no wheel was seen."""
+        """Time after `since_ns` from which the car stands to the end; infinite if it moves then or no wheel is seen."""
         wheels = self.images(WheelSpeeds, since_ns)
         if not wheels or not standing(wheels[-1][1]):
             return math.inf
