@@ -131,7 +131,7 @@ def test_a_car_that_sees_no_track_says_so_and_ends() -> None:
     assert lockstep.world.vcu.state is AsState.EMERGENCY_BRAKE and result.wire.ok, result.wire
     assert "the car has stood for 6 s: no path: " in (result.report.emergency or "")
     (incident,) = explained(Record(frames_of(frames))).incidents
-    assert incident.candidates[0].slug == "not_driven"
+    assert incident.candidates[0].slug == "brake_held"
 
 
 def test_operational_limits_are_never_exceeded() -> None:
