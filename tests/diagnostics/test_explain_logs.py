@@ -438,7 +438,7 @@ def test_the_answer_comes_last_with_cause_chain_and_remedy(explain: Explain, fau
     assert "\033" not in out, "no colours where nobody sees them"
 
 
-def test_the_cause_stands_on_a_screen_and_the_timeline_is_asked_for(
+def test_the_cause_fills_a_screen_and_the_timeline_is_asked_for(
     explain: Explain, faulty: Frames, tmp_path: Path
 ) -> None:
     path = written(faulty, tmp_path / "run.log")

@@ -138,7 +138,7 @@ def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
 
 def test_a_remote_frame_is_a_problem_of_its_moment() -> None:
     asked = LogFrame(55 * MS, "can0", 0x513, remote=True, length=2)
-    found = only(sorted([*NOMINAL, asked], key=lambda f: f.t_ns), "intruder")
+    found = only(sorted([*NOMINAL, asked], key=lambda f: f.t_ns), "remote-frames")
     assert "1 remote frames" in found.words and found.t_ns == 55 * MS
 
 
