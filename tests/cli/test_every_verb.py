@@ -1,4 +1,4 @@
-"""What holds for every verb: no traceback, whatever the names of files, the output, the moment of a Ctrl-C, or ROS."""
+"""Every verb answers without a traceback, whatever the names of files, the output, the moment of a Ctrl-C, or ROS."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ USES = {
     "reference": "reference",
     "track": "track small_oval",
 }
-"""What verbs do at once, without a car; of the others the help is asked for."""
+"""Uses that end at once, without a car; of other verbs the help is asked for."""
 
 
 Use = tuple[list[str], int, str]

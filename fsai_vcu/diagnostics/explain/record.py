@@ -435,12 +435,12 @@ class Record:
             if gap.end_ns is None or before is None or after is None or before in (sig.READY, sig.DRIVING):
                 continue
             switched = any(self.at(signal, gap.end_ns) for signal in (sig.AS_SWITCH, sig.TS_SWITCH))
-            anew = after == AsState.AS_INIT != before or self._counts_anew(gap.begin_ns, gap.end_ns)
-            if after in OFF_LIKE and anew and (gap.length_ns >= REBOOT_NS or not switched):
+            begun = after == AsState.AS_INIT != before or self._counts_from_zero(gap.begin_ns, gap.end_ns)
+            if after in OFF_LIKE and begun and (gap.length_ns >= REBOOT_NS or not switched):
                 found.append(PowerCycle(gap.begin_ns, gap.end_ns, before, after))
         return tuple(found)
 
-    def _counts_anew(self, begin_ns: int, end_ns: int) -> bool:
+    def _counts_from_zero(self, begin_ns: int, end_ns: int) -> bool:
         counts = [(self.at(signal, begin_ns), self.at(signal, end_ns + DEAD_NS)) for signal in sig.PULSES]
         return any(before for before, _ in counts) and not any(after for _, after in counts)
 

@@ -17,9 +17,9 @@ from fsai_vcu.diagnostics.explain.incident import (
     Sureness,
     Weight,
 )
+from fsai_vcu.diagnostics.log.frames import EPOCH_NS
 
 WIDTH: Final = 110
-EPOCH_NS: Final = 946_684_800 * 1_000_000_000  # 2000: earlier stamps count from something else than a calendar
 _ALSO: Final = 3  # further candidates in full sentences
 _COLOURS: Final = {Weight.FAULT: "31;1", Weight.WARNING: "33", Weight.STATE: "1", Weight.NOTE: "2"}
 

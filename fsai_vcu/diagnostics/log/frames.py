@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.units import MS, S
 from fsai_vcu.printable import printable
 
 # Bits of `flags`.
@@ -25,6 +25,7 @@ SENT: Final = 0x80  # … or sent it; where neither is set the log does not say
 
 CLASSIC_BYTES: Final = 8
 OUT_OF_ORDER_NS: Final = 20 * MS
+EPOCH_NS: Final = 946_684_800 * S  # 2000: earlier stamps count from something else than a calendar
 _NEAR: Final = 5  # frames to each side of a step back that tell whether the clock was set
 
 _COLUMNS: Final = ("t_ns", "can_id", "flags", "length", "word", "channel")

@@ -9,12 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames
 from fsai_vcu.interface.errors import WrongUse
 
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::([0-5]\d(?:\.\d+)?))?")
 _SECOND_NS: Final = 1_000_000_000
-_DATED_NS: Final = 946_684_800 * _SECOND_NS  # 2000: earlier times count from something else than a calendar
 
 
 class Part:
@@ -104,5 +103,5 @@ def _seconds(text: str | None, first_ns: int, last_ns: int) -> float | None:
     if first - moment > timedelta(hours=12):  # a log over midnight
         moment += timedelta(days=1)
     since_s = (moment - first).total_seconds()
-    has_minute = first_ns >= _DATED_NS and -60.0 < since_s <= (last_ns - first_ns) / _SECOND_NS
+    has_minute = first_ns >= EPOCH_NS and -60.0 < since_s <= (last_ns - first_ns) / _SECOND_NS
     return since_s if second is not None or has_minute else into_s

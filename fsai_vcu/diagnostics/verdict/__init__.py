@@ -23,7 +23,6 @@ from fsai_vcu.diagnostics.explain.conditions import sentence
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, frozen_words
 from fsai_vcu.diagnostics.explain.incident import ALWAYS, Sureness, TimeRange, within
 from fsai_vcu.diagnostics.explain.record import REBOOT_NS, Record
-from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import (
     AS_STATE,
     CAR_TORQUE_MAX,
@@ -36,7 +35,7 @@ from fsai_vcu.diagnostics.explain.signals import (
     label,
 )
 from fsai_vcu.diagnostics.finding import Finding
-from fsai_vcu.diagnostics.log.frames import Frames, straightened
+from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames, straightened
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.diagnostics.statistics.measure import (

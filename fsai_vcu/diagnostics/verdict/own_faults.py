@@ -12,10 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fsai_vcu.diagnostics.explain.record import Record
-from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, HANDSHAKE, PULSES, STATUS
 from fsai_vcu.diagnostics.finding import Finding
-from fsai_vcu.diagnostics.log.frames import ERROR, RECEIVED, SENT, Frames, Ints, Mask
+from fsai_vcu.diagnostics.log.frames import EPOCH_NS, ERROR, RECEIVED, SENT, Frames, Ints, Mask
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, keys_of
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS

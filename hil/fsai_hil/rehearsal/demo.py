@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.stack import NODES, Stack, StackError, simulated_car, words_of
+from fsai_hil.rehearsal.stack import NODES, PLOT, VERDICT, Stack, StackError, simulated_car, words_of
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
@@ -34,7 +34,7 @@ START_TIMEOUT_S = 180.0
 RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 180.0  # matplotlib, the first time that it is imported, on a busy machine
 PROGRESS_PERIOD_S = 1.0
-SAVED = ("bus.log", "run.png", "verdict.json")
+SAVED = ("bus.log", PLOT, VERDICT)
 
 
 def main() -> int:

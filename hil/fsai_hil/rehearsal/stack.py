@@ -18,6 +18,7 @@ from fsai_vcu.runtime.bus import split_spec
 from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.transport import loopback_environment
 
+VERDICT, PLOT = "verdict.json", "run.png"  # what the simulated car leaves of a run
 NODES = ("vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller")
 # Half as often as on the car: half the wake-ups, and those are what a slow machine spends its time on.
 SLOW_PLACE: Mapping[str, Mapping[str, object]] = {

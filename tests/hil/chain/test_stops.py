@@ -1,4 +1,4 @@
-"""How a person ends a run by the bridge's services."""
+"""A person ends a run by the bridge's services."""
 
 from __future__ import annotations
 
