@@ -17,12 +17,12 @@ from fsai_vcu.arguments import check_numbers
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.printable import LINE, printable
 from fsai_vcu.runtime.configuration import usual_environment
-from fsai_vcu.runtime.transport import enclave_words, ros_trouble, set_transport
+from fsai_vcu.runtime.transport import enclave_words, node_ports_taken, ros_trouble, set_transport
 
 ASK_AGAIN_S = 1.0
 _SAY_S, _SAY_AGAIN_S = 0.5, 3.0  # what is waited for
 _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
-_NO_NODE_S = 0.9  # a node of this machine is found in a fraction of it
+_NO_NODE_S = 0.9  # what a node of another machine has for being found
 _STATE_S = 10.0
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
@@ -183,6 +183,9 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
 def vehicle_state(args: argparse.Namespace) -> Any:
     """The newest /vehicle_state. Raises UserError when none comes in time, and, unless told to wait, for no node."""
     check_numbers(args, wait=0.0)
+    _take_environment()
+    # Asked before this process takes ports of its own; discovery alone takes seconds on a busy machine.
+    node_is_here = node_ports_taken(int(os.environ.get("ROS_DOMAIN_ID") or 0))
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.msg import VehicleState
@@ -198,7 +201,7 @@ def vehicle_state(args: argparse.Namespace) -> Any:
                 topic = node.resolve_topic_name("vehicle_state")
                 raise UserError(f"nothing on {topic} for {wait_s:g} s; {_WHERE}")
             others = [name for name in node.get_node_names() if name != node.get_name() and not name.startswith("_")]
-            if args.wait is None and waited_s >= _NO_NODE_S and not others:
+            if args.wait is None and waited_s >= _NO_NODE_S and not (others or node_is_here):
                 domain = os.environ.get("ROS_DOMAIN_ID", "0")
                 raise UserError(f"no ROS node runs here, on ROS_DOMAIN_ID {domain}; --wait S waits for one")
             rclpy.spin_once(node, timeout_sec=min(_TURN_S, wait_s - waited_s))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, MutableMapping
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +21,7 @@ _RANGE, _PROFILES, _BUILTIN = (
 )
 _DOMAIN: Final = "ROS_DOMAIN_ID"
 DOMAIN_MAX: Final = 232  # beyond it there are no UDP ports
+_FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250  # PB and DG of the RTPS specification (DDSI-RTPS 2.5, 9.6.2.3)
 _IMPLEMENTATION, _LOCALHOST_ONLY = "RMW_IMPLEMENTATION", "ROS_LOCALHOST_ONLY"
 _FAST_DDS: Final = "rmw_fastrtps_cpp"  # rmw_fastrtps_shared_cpp reads the profile and the variables below
 
@@ -52,6 +54,16 @@ def set_transport(environ: MutableMapping[str, str]) -> str:
     environ.pop(_LOCALHOST_ONLY, None)  # it would go before the range
     environ.update(LOOPBACK)
     return ""
+
+
+def node_ports_taken(domain: int, network: Path = Path("/proc/self/net")) -> bool:
+    """Return true where a UDP port of this ROS domain is taken on this machine: by a node, or by something else.
+
+    Every DDS participant binds one, so that a domain without any has no node here; discovery needs time to say that.
+    """
+    ports = range(_FIRST_PORT + domain * _PORTS_OF_A_DOMAIN, _FIRST_PORT + (domain + 1) * _PORTS_OF_A_DOMAIN)
+    lines = chain.from_iterable((network / name).read_text().splitlines()[1:] for name in ("udp", "udp6"))
+    return any(int(line.split()[1].rpartition(":")[2], 16) in ports for line in lines)
 
 
 def ros_trouble(environ: Mapping[str, str]) -> str:

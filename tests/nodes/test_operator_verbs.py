@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -106,10 +107,21 @@ def test_without_a_bridge_every_verb_says_so_in_one_line(
 def test_status_without_any_node_does_not_wait_for_one(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "101")  # that of no other test
+    monkeypatch.setenv("ROS_DOMAIN_ID", "100")  # that of no other test
     assert main(["status"]) == 1
-    words = "no ROS node runs here, on ROS_DOMAIN_ID 101; --wait S waits for one"
+    words = "no ROS node runs here, on ROS_DOMAIN_ID 100; --wait S waits for one"
     assert capsys.readouterr().err == f"fsai-vcu status: {words}\n"
+
+
+def test_status_waits_for_a_node_that_discovery_finds_late(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "100")
+    monkeypatch.setattr("fsai_vcu.cli.services._STATE_S", 2.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:  # a node's port, and nothing is heard of its node
+        late.bind(("127.0.0.1", 7400 + 250 * 100 + 10 + 2 * 7))
+        assert main(["status"]) == 1
+    assert capsys.readouterr().err.startswith("fsai-vcu status: nothing on /vehicle_state for 2 s; is vcu_bridge")
 
 
 @pytest.mark.parametrize("name", ["reset", "status"])

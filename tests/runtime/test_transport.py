@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from fsai_vcu.runtime.transport import LOOPBACK, NETWORKS, PROFILE, loopback_environment, set_transport
+from fsai_vcu.runtime.transport import (
+    LOOPBACK,
+    NETWORKS,
+    PROFILE,
+    loopback_environment,
+    node_ports_taken,
+    set_transport,
+)
 
 
 @pytest.mark.parametrize(
@@ -54,3 +63,11 @@ def test_subnet_opens_a_process_without_shared_memory() -> None:
 def test_a_rehearsal_has_the_loopback_profile_in_any_shell() -> None:
     caller = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", "ROS_LOCALHOST_ONLY": "1", "PATH": "/bin", **NETWORKS}
     assert loopback_environment(caller) == {"PATH": "/bin", **LOOPBACK}
+
+
+def test_a_udp_port_of_a_domain_is_a_sign_of_its_nodes(tmp_path: Path) -> None:
+    (tmp_path / "udp6").write_text("  sl  local_address\n   0: 00000000000000000000000000000000:1CE8 0 07\n")
+    for port, taken in ((7649, False), (7650, True), (7899, True), (7900, False)):
+        (tmp_path / "udp").write_text(f"  sl  local_address\n 300: 0100007F:{port:04X} 00000000:0000 07\n")
+        assert node_ports_taken(1, tmp_path) is taken, port
+    assert node_ports_taken(0, tmp_path)  # 7400, of the IPv6 table
