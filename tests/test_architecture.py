@@ -89,6 +89,7 @@ ARROWS: dict[str, set[str]] = {
         "fsai_hil.rehearsal",
         "fsai_hil.simulator",
         "fsai_hil.vcan",
+        f"{DIAGNOSTICS}.log",
         f"{DIAGNOSTICS}.transmit",
         "fsai_vcu.interface",
     },

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import Decoding, LogRead, Sources, add_log_arguments, check_seconds, judged, write_out
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 from fsai_vcu.interface.errors import WrongUse
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.verdict import Judged
 
 EXAMPLE = "fsai-vcu check run.log && echo the bus was well\n  fsai-vcu check can0 --seconds 10 --figures"
 _NAMED = 8  # files that are left out
@@ -15,7 +19,7 @@ ABOUT = """\
 Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
 problem was found, or too little is known, or not everything could be read, 2
 wrong use. Of several logs, or a folder of them, each has a line of its own, and
-all of them together one verdict."""
+all of them together one verdict; logs whose clocks differ are several runs."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,22 +43,38 @@ def run(args: argparse.Namespace) -> int:
     decoding = Decoding("check", args)
     read: list[LogRead] = []
     sources = Sources("check", args.sources, decoding, each=read.append)
-    found = judged(args, sources, decoding)
+    runs = sources.runs()
+    found = [judged(args, each, decoding) for each in runs]
     lines = [json.dumps(each.as_dict()) if args.json else each.line() for each in read]
     if sources.left_out and not args.json:
         more = ", …" if len(sources.left_out) > _NAMED else ""
         lines.append(f"no logs, and left out: {', '.join(sources.left_out[:_NAMED])}{more}")
     write_out("".join(f"{line}\n" for line in lines).encode())
+    wrong = [number for number, one in enumerate(found) if not _say(args, one, runs[number].name if found[1:] else "")]
+    if found[1:]:
+        words = f"NOT OK: {len(wrong)} of {len(found)} runs" if wrong else f"OK: {len(found)} runs"
+        whole = {"type": "verdict", "verdict": "not ok" if wrong else "ok", "runs": len(found), "words": words}
+        write_out((json.dumps(whole) if args.json else f"verdict: {words}").encode() + b"\n")
+    return 1 if wrong else 0
+
+
+def _say(args: argparse.Namespace, found: Judged | None, run: str) -> bool:
+    """Print the figures and the verdict of a run; True where it is OK. run: its logs, where there are several runs."""
+    if run and not args.json:
+        write_out(f"run {run}\n".encode())
     if found is None:
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
-        return 1
+        return False
     for bus in found.buses:
         shown = (_as_json if args.json else _for_people)(bus, figures=args.figures)
         write_out(shown.encode())
     verdict = found.verdict
-    told = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
+    of_run = {"run": run} if run else {}
+    told = [json.dumps(each | of_run) for each in verdict.as_dicts()]
+    if not args.json:
+        told = [*verdict.lines(), f"{'of this run' if run else 'verdict'}: {verdict.line()}"]
     write_out("".join(f"{line}\n" for line in told).encode())
-    return verdict.status
+    return verdict.ok
 
 
 def _as_json(bus: BusStatistics, *, figures: bool) -> str:

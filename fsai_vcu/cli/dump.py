@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import time
 from typing import Final
@@ -28,6 +29,7 @@ EXAMPLE = (
     "fsai-vcu VERB can0,520:7FF,510:7FF,#FFFFFFFF -t z\n"
     "  fsai-vcu VERB run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
 )
+_ON_SCREEN: Final = 100  # frames of a log: more of them would only flood a terminal
 _COLUMNS = 150  # of a short line
 _TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
 _COLORS: Final = {"error": b"\x1b[31m", "ai": b"\x1b[32m", "vcu": b"\x1b[36m", "unknown": b"\x1b[33m"}
@@ -53,7 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
     add("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
-    add("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
+    add(
+        "-n",
+        dest="count",
+        type=int,
+        metavar="COUNT",
+        help="end after so many frames (default for a log on a terminal: 100)",
+    )
     add("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
     add(
         "-L",
@@ -89,7 +97,8 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources(args.verb, args.sources, decoding, part_of(args, decoding))
     sources.learn()
     lines = _Lines(args, decoding)
-    left = args.count
+    on_screen = args.count is None and sys.stdout.isatty() and not sources.live
+    left = _ON_SCREEN if on_screen else args.count
     received_at = time.monotonic()
     try:
         for frames in map(lines.chosen, sources.chunks()):
@@ -101,6 +110,8 @@ def run(args: argparse.Namespace) -> int:
                 if left is not None:
                     left -= len(shown)
                     if left == 0:
+                        if on_screen:
+                            _say_more(args.verb, sources)
                         break
             elif args.idle_ms is not None and (time.monotonic() - received_at) * 1000 >= args.idle_ms:
                 break
@@ -108,6 +119,16 @@ def run(args: argparse.Namespace) -> int:
         if not sources.live:
             raise
     return sources.status
+
+
+def _say_more(verb: str, sources: Sources) -> None:
+    """Tell how to see the rest of a log of which a terminal has shown the beginning."""
+    name = shlex.quote(sources.names[0])
+    print(
+        f"fsai-vcu {verb}: the first {_ON_SCREEN} frames are shown; more: -n COUNT, --from TIME; "
+        f"all of them: fsai-vcu {verb} {name} | less",
+        file=sys.stderr,
+    )
 
 
 class _Lines:

@@ -32,6 +32,11 @@ def run(args: argparse.Namespace) -> int:
     check_seconds(args)
     decoding = Decoding("explain", args)  # before anything is read; the explanation names the revision, and why
     sources = Sources("explain", args.sources)
+    return max(_explain(args, each, decoding) for each in sources.runs())
+
+
+def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> int:
+    """Print the explanation of one run; the exit status."""
     found = judged(args, sources, decoding)
     if found is None:
         return 1

@@ -118,10 +118,17 @@ def run(args: argparse.Namespace) -> int:
         log.read_all()
         try:
             databases = decoding.databases if args.dbc else None
-            found = judged(joined(read), args.revision, databases, part, begin_ns=sources.first_ns)
+            found = judged(
+                joined(read),
+                args.revision,
+                databases,
+                part,
+                begin_ns=sources.first_ns,
+                recorded=sources.recorded,
+            )
         except NoFrames as error:
             raise UserError(f"no frame of {sources.name} is in that part") from error
-        return found.verdict.unread(sources.status, sources.lost_here)
+        return found.verdict.unread(sources.unread)
 
     def findings(until_ns: int) -> list[str]:
         whole = verdict()

@@ -22,8 +22,9 @@ from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.export.writing import check_format
 from fsai_vcu.diagnostics.log.live import Listener
+from fsai_vcu.diagnostics.log.recorded import lost_words
 from fsai_vcu.diagnostics.recorder.recording import Recording
-from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_words
+from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_configuration

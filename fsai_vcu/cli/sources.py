@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext, suppress
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -21,15 +22,16 @@ from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, name_and_filters, split_source
 from fsai_vcu.diagnostics.log.formats import format_of
-from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
+from fsai_vcu.diagnostics.log.recorded import Recorded, is_virtual, lost_words, recorded
 from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
-from fsai_vcu.diagnostics.recorder.segments import lost_while_recorded, lost_words
 from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.interface.units import S
 from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap"
 _BESIDE: Final = frozenset({".json", ".png", ".svg", ".html"})
 _MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".db3", ".sqlite"})  # their content tells
 _PROBLEMS_SHOWN = 5
+NOTHING_READ: Final = 1 << 63  # later than any log begins
 _PROGRESS_S = 1.0
 
 
@@ -90,8 +93,12 @@ def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True)
 def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Judged | None:
     """The frames of all sources, or of the part that is asked for, measured and judged.
 
-    None without a frame at all, which was reported then. Raises UserError where no frame is in the part.
+    None without a frame at all, which was reported then. Raises UserError where no frame is in the part, or the logs
+    are several runs.
     """
+    if len(runs := sources.runs()) > 1:
+        names = " | ".join(run.name for run in runs)
+        raise UserError(f"these logs have clocks of their own, so they are {len(runs)} runs; name one: {names}")
     from fsai_vcu.diagnostics.explain.record import NoFrames
     from fsai_vcu.diagnostics.verdict import judged as judged_frames
 
@@ -110,10 +117,11 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
             part,
             bitrate=rate,
             begin_ns=sources.first_ns,
+            recorded=sources.recorded,
         )
     except NoFrames as error:
         raise UserError(f"no frame of {sources.name} is in that part") from error
-    return found._replace(verdict=found.verdict.unread(sources.status, sources.lost_here))
+    return found._replace(verdict=found.verdict.unread(sources.unread))
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
@@ -287,6 +295,7 @@ class Sources:
         """
         self.verb = verb
         self.status = 0
+        self._several = False  # logs on the command line; one of them alone has its troubles told in full
         self._decoding = decoding
         self._part = part
         self._each = each
@@ -296,18 +305,45 @@ class Sources:
         except ValueError as error:
             raise WrongUse(str(error)) from error
         self.left_out = [printable(path.name) for path in left_out]  # of what is in folders
-        self.names = ["standard input" if name == "-" else printable(name) for name, _ in self._rules]
-        self.name = ", ".join(self.names)
+        self._several = len(self._rules) > 1
+        self._name_them()
         kinds = {_is_log(name) for name, _ in self._rules}
         if len(kinds) > 1:
             raise WrongUse("logs and live interfaces cannot be read together")
         self.live = kinds == {False}
         self.files = all(Path(name).is_file() for name, _ in self._rules)
         self.first_ns: int | None = None  # of the whole log, whatever the part
-        self._lost: Callable[[], int] = lambda: 0  # frames for which this machine had no room
+        self._recorded: Callable[[], Recorded] = Recorded  # of what was read, or heard, up to now
         self.heard_ns: Callable[[], int] = time.monotonic_ns  # live: the last of `chunks` holds everything until then
         if part is not None:
             self.tell_the_end(part)
+
+    def _name_them(self) -> None:
+        self.names = ["standard input" if name == "-" else printable(name) for name, _ in self._rules]
+        self.name = ", ".join(self.names)
+
+    def runs(self) -> list[Sources]:
+        """The sources by clock: a log with a clock of its own is another run, without a common axis with the others."""
+        if self.live or len(self._rules) < 2 or not self.files:
+            return [self]
+        runs: list[list[tuple[str, FrameFilter]]] = []
+        clocks: list[int] = []  # the last first stamp of each run
+        for rule in self._rules:
+            first_ns, _ = _first_stamp(Path(rule[0]))
+            unread = first_ns == NOTHING_READ
+            if clocks and (unread or _goes_on(clocks[-1], first_ns)):
+                runs[-1].append(rule)
+                clocks[-1] = clocks[-1] if unread else first_ns
+            else:
+                runs.append([rule])
+                clocks.append(0 if unread else first_ns)
+        return [self] if len(runs) == 1 else [self._with(rules) for rules in runs]
+
+    def _with(self, rules: list[tuple[str, FrameFilter]]) -> Sources:
+        one = copy(self)
+        one._rules = rules
+        one._name_them()
+        return one
 
     def chunks(
         self, seconds: float | None = None, *, announced: bool = False, waits: bool = False
@@ -321,7 +357,17 @@ class Sources:
     @property
     def lost_here(self) -> str:
         """A sentence on the frames that this machine received too late, now or while the logs were recorded; or ''."""
-        return lost_words(self._lost())
+        return lost_words(self.recorded.lost)
+
+    @property
+    def recorded(self) -> Recorded:
+        """What the computers that recorded the logs, or this one that listens, did to what was received."""
+        return self._recorded()
+
+    @property
+    def unread(self) -> bool:
+        """True where something could not be read or received, other than frames that this machine lost itself."""
+        return bool(self.status) and not self.recorded.lost
 
     def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
         """All frames of all logs; of live buses, those of so long or until Ctrl-C.
@@ -371,7 +417,8 @@ class Sources:
                     self._decoding.hear(frames)
 
     def _log_chunks(self) -> Iterator[Frames]:
-        inside = lost = 0
+        inside = 0
+        found = Recorded()
         for name, rule in self._rules:
             count = 0
             with open_log(name) as log:
@@ -383,16 +430,16 @@ class Sources:
                     inside += len(passing)
                     yield passing
             self._report(log, count)
-            lost += log.problems.lost
-        recorded = lost + sum(lost_while_recorded(Path(name)) for name, _ in self._rules if name != "-")
-        self._lost = lambda: recorded
+            found = found.joined(Recorded(log.problems.lost))
+            found = found if name == "-" else found.joined(recorded(Path(name)))
+        self._recorded = lambda: found
         if self._part and self.first_ns is not None and not inside:
             raise UserError(f"no frame of {self.name} is in that part")
 
     def _report(self, log: Log, frames: int) -> None:
         """Say what could not be read of a log of so many frames: of one of several in one line."""
         name, problems = log.name, log.problems
-        if self._each is not None and len(self._rules) > 1:
+        if self._each is not None and self._several:
             self._each(LogRead(name, log.kind, frames, problems.summary(), problems.note_line()))
             self.status |= bool(problems) or not frames
             return
@@ -400,7 +447,7 @@ class Sources:
         if not frames:
             why = problems.texts[0].removeprefix(name) if problems else ""
             texts = [f"{name}: nothing could be read{why}" if why else f"{name}: no frames in it"]
-        elif len(self._rules) > 1 and problems:
+        elif self._several and problems:
             texts = [problems.summary()]
         elif problems.count > _PROBLEMS_SHOWN:
             texts.append(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
@@ -429,7 +476,8 @@ class Sources:
         how_it_ends: AbstractContextManager[list[int]] = ending() if announced else nullcontext([])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with how_it_ends as asked, closing(LiveSource([name for name, _ in self._rules], waits=waits)) as source:
-            self._lost = lambda: source.dropped
+            virtual = any(is_virtual(name) for name, _ in self._rules)
+            self._recorded = lambda: Recorded(source.dropped, virtual=virtual)
             self.heard_ns = lambda: source.heard_ns
             if announced and seconds is None:
                 self._say(f"listening to {self.name} until Ctrl-C")
@@ -502,9 +550,15 @@ def _first_stamp(path: Path) -> tuple[int, str]:
     """When a log begins; one that cannot be read comes last, and is reported when it is opened."""
     try:
         with open_log(str(path)) as log:
-            return next((frame.t_ns for frame in log.frames()), 1 << 63), path.name
+            return next((frame.t_ns for frame in log.frames()), NOTHING_READ), path.name
     except LogError:
-        return 1 << 63, path.name
+        return NOTHING_READ, path.name
+
+
+def _goes_on(before_ns: int, first_ns: int) -> bool:
+    """True where a log may go on by the clock of one that began at `before_ns`: both have dates, or one counter."""
+    dated = before_ns >= EPOCH_NS, first_ns >= EPOCH_NS
+    return all(dated) or (not any(dated) and first_ns - before_ns > S)
 
 
 def _last_stamp(name: str) -> int:

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from fsai_vcu.cli.services import add_bridge_arguments, vehicle_state
+from fsai_vcu.core.report import loop_fault_words
 from fsai_vcu.printable import LINE, printable
 
 __all__ = ["EXAMPLE", "add_arguments", "run"]
@@ -65,6 +66,8 @@ def _as_text(state: Any) -> str:
         lines.append(f"emergency {state.emergency}")
     if state.stopping:
         lines.append(f"stopping  {state.stopping}")
+    if busy := loop_fault_words(state.loop_faults):
+        lines.append(f"computer  {busy}")
     lines += [f"gate      {reason}" for reason in state.gate_reasons[:_MOST]]
     if state.why_not_driving:
         lines.append("why not driving:")

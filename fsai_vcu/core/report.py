@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision.reasons import words_of
+from fsai_vcu.core.supervision.reasons import Reason, words_of
 from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
 from fsai_vcu.interface.values import Count, Detail, Sentence, Value, Whole, Word
 
@@ -70,3 +70,9 @@ class BridgeReport(Value, frozen=True):
             words_of(slug) + (f" ({detail})" if (detail := self.reason_details.get(slug)) else "")
             for slug in self.reasons
         )
+
+
+def loop_fault_words(count: int) -> str:
+    """The clause on a CAN loop that came too late so many times since it began; '' for none."""
+    times = f"{count} time{'s' * (count > 1)}"
+    return f"{words_of(Reason.LOOP_FAULT.slug)}, {times} so far: this computer is too busy" if count else ""

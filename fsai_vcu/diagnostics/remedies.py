@@ -1,19 +1,20 @@
 """What to do about whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
 
-Where the AI computer's frames are not this software's (`theirs`), a remedy speaks of your AI computer: its commands,
-services and logs are not ours to name.
+Where the AI computer's frames are not this software's, a remedy speaks of your AI computer: its commands, services and
+logs are not ours to name. Where the bus is a virtual one it speaks of programs, for there is no plug.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 _CAR_RESTART: Final = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
 _MOVE_STEERING: Final = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
 _TURN_WHEELS: Final = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
 _SEE_FAULT: Final = "put the fault right that 0x520 names, then switch the car off and on"
 _SENDER: Final = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
+_BUSY: Final = "nothing is wrong with car or software: drive again with less running on this computer"
 _BETWEEN: Final = "send a whole cycle with both at zero between torque and brake, either way"
 
 REMEDIES: Final[Mapping[str, str]] = {
@@ -184,6 +185,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     "steering_not_following": _MOVE_STEERING,
     "wheel_unlike": _TURN_WHEELS,
     "wheels_swapped": "turn each wheel by hand and compare 0x525: plugs of left and right; or the sign of 0x523",
+    "stood_still": _BUSY,
+    "frames_lost_here": "record again with less running on this computer; the log cannot tell more",
     # Kinds of findings on a log (verdict/)
     "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
     "missing": _SENDER,
@@ -231,6 +234,28 @@ _THEIRS: Final[Mapping[str, str]] = {
 """The same where the AI computer's frames are not this software's."""
 
 
-def remedy_of(slug: str, *, theirs: bool = False) -> str:
+_PROGRAM: Final = "the bus is a virtual one: see whether its program ended or hung (its log), and what else ran there"
+_VIRTUAL: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("ai_silent", "ai_comms_lost", "ai_unheard", "ai_bus_off", "no_ai_data", "missing"), _PROGRAM),
+    **dict.fromkeys(("vcu_silent", "vcu_reboot", "vcu_hung", "vcu_unheard", "handshake_stands", "gap"), _PROGRAM),
+    **dict.fromkeys(("wheels_stale", "steering_stale", "silent", "stopped", "bus_lost", "lossy"), _PROGRAM),
+}
+"""The same on a virtual bus (vcan, loopback), which has no plug, no termination and no supply."""
+
+
+class Setting(NamedTuple):
+    """The circumstances of a log that choose among remedies.
+
+    theirs: the AI computer's frames are not this software's. virtual: the bus is inside a computer.
+    """
+
+    theirs: bool = False
+    virtual: bool = False
+
+
+OURS: Final = Setting()  # this software's frames, on the car's bus
+
+
+def remedy_of(slug: str, setting: Setting = OURS) -> str:
     """What to do about a cause or a kind of finding; empty where nothing is to be done."""
-    return (theirs and _THEIRS.get(slug)) or REMEDIES.get(slug, "")
+    return (setting.virtual and _VIRTUAL.get(slug)) or (setting.theirs and _THEIRS.get(slug)) or REMEDIES.get(slug, "")

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import select
 import socket
 import struct
 import time
 from collections.abc import Iterable
-from pathlib import Path
 
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
@@ -300,30 +300,42 @@ def _allowed(may_send: Iterable[int] | None) -> frozenset[int] | None:
 
 def can_interfaces() -> list[str]:
     """The names of this machine's CAN interfaces, up or down."""
-    return sorted(path.name for path in Path("/sys/class/net").glob("*") if _read(path / "type") == _ARPHRD_CAN)
+    return sorted(name for _, name in socket.if_nameindex() if _asked(name, _SIOCGIFHWADDR) == _ARPHRD_CAN)
 
 
 def _check_interface(channel: str) -> None:
     """Say in words what a bare OSError would not: absent, not a CAN device, or down."""
-    device = Path("/sys/class/net") / channel
-    if not channel or not device.exists():
+    kind = _asked(channel, _SIOCGIFHWADDR)
+    if kind is None:
         can_devices = can_interfaces()
         known = f"CAN interfaces here: {', '.join(can_devices)}" if can_devices else "this machine has no CAN interface"
         raise BusError(
             f"no CAN interface '{channel}' ({known}; 'loopback:NAME' is a stand-in bus for a rehearsal on one machine)"
         )
-    if _read(device / "type") != _ARPHRD_CAN:
+    if kind != _ARPHRD_CAN:
         raise BusError(f"'{channel}' is a network interface but not a CAN interface")
-    flags = _read(device / "flags")
-    if flags and not int(flags, 16) & 1:
+    flags = _asked(channel, _SIOCGIFFLAGS)
+    if flags is not None and not flags & _IFF_UP:
         raise BusError(f"CAN interface '{channel}' is down; bring it up with: ip link set {channel} up")
 
 
-_ARPHRD_CAN = "280"  # linux/if_arp.h
+_SIOCGIFFLAGS, _SIOCGIFHWADDR = 0x8913, 0x8927  # linux/sockios.h
+_ARPHRD_CAN, _IFF_UP = 280, 1  # linux/if_arp.h, linux/if.h
+_IFREQ = struct.Struct("16sH22x")  # an interface's name; then the flags, or the family of the hardware address
 
 
-def _read(path: Path) -> str:
-    try:
-        return path.read_text().strip()
-    except OSError:
-        return ""
+def _asked(interface: str, request: int) -> int | None:
+    """A number that the kernel has of an interface; None where there is no such interface (netdevice(7)).
+
+    /sys/class/net need not be mounted, and may be another network namespace's.
+    """
+    name = interface.encode()
+    if not 0 < len(name) < 16 or b"\0" in name:
+        return None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        try:
+            answer = fcntl.ioctl(asking, request, _IFREQ.pack(name, 0))
+        except OSError:
+            return None
+    number: int = _IFREQ.unpack(answer)[1]
+    return number

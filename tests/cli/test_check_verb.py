@@ -80,3 +80,20 @@ def test_verbs_of_an_earlier_release_say_their_new_name(well: Path, capsys: pyte
     assert said.err == "fsai-vcu: stats is now called check --figures\n"
     assert main(["recorder", "--config", "/nowhere/fsai.toml"]) == 1
     assert capsys.readouterr().err.splitlines()[0] == "fsai-vcu: recorder is now called record --service"
+
+
+def test_logs_of_different_clocks_are_several_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, begin_s in (("a", 1_790_000_000), ("b", 0), ("c", 0)):
+        lines = (f"({begin_s + number / 100:.6f}) can0 520#0000000000000000\n" for number in range(150))
+        (tmp_path / f"{name}.log").write_text("".join(lines))
+    assert main(["check", str(tmp_path)]) == 1
+    out = capsys.readouterr().out
+    assert [line for line in out.splitlines() if line.startswith("run ")] == [f"run {tmp_path}/{n}.log" for n in "bca"]
+    assert out.count("verdict: ") == 1 and out.endswith("verdict: NOT OK: 3 of 3 runs\n")
+    assert "1790000" not in out
+    assert main(["check", str(tmp_path), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["runs"] == 3
+    assert main(["explain", str(tmp_path)]) == 1
+    assert capsys.readouterr().out.count("\nverdict: ") == 3
+    assert main(["report", str(tmp_path), "-o", str(tmp_path / "page.html")]) == 1
+    assert "they are 3 runs; name one: " in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -231,3 +232,19 @@ def test_numbers_have_the_decimals_of_their_scale(
         assert value in shown
     assert main(["decode", str(log)]) == 0
     assert "194.70000000000002 Nm" in capsys.readouterr().out  # as cantools writes it
+
+
+@pytest.mark.parametrize("verb", ["dump", "decode"])
+def test_a_terminal_shows_the_first_hundred_frames_of_a_log(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("".join(f"({number}.000000) can0 7FF#00\n" for number in range(150)))
+    assert main([verb, str(log), "--no-signals"]) == 0
+    assert capsys.readouterr().out.count("\n") == 150, "a pipe gets all of them"
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main([verb, str(log), "--no-signals"]) == 0
+    out, err = capsys.readouterr()
+    assert out.count("\n") == 100 and err.count("\n") == 1 and f"{log} | less" in err
+    assert main([verb, str(log), "--no-signals", "-n", "120"]) == 0
+    assert capsys.readouterr().out.count("\n") == 120

@@ -12,7 +12,7 @@ from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
 from fsai_vcu.diagnostics.explain.signals import FAULTS
-from fsai_vcu.diagnostics.remedies import REMEDIES, remedy_of
+from fsai_vcu.diagnostics.remedies import REMEDIES, Setting, remedy_of
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES
 
@@ -111,13 +111,13 @@ OURS = re.compile(
 
 @pytest.mark.parametrize("slug", REMEDIES)
 def test_no_remedy_sends_to_a_verb_that_says_it(slug: str) -> None:
-    for theirs in (False, True):
-        assert not re.search(r"fsai-vcu (check|explain|status|monitor|report|compare)", remedy_of(slug, theirs=theirs))
+    for setting in (Setting(), Setting(theirs=True), Setting(virtual=True)):
+        assert not re.search(r"fsai-vcu (check|explain|status|monitor|report|compare)", remedy_of(slug, setting))
 
 
 @pytest.mark.parametrize("slug", REMEDIES)
 def test_of_another_program_no_remedy_names_this_softwares_parts(slug: str) -> None:
-    theirs, ours = remedy_of(slug, theirs=True), remedy_of(slug)
+    theirs, ours = remedy_of(slug, Setting(theirs=True)), remedy_of(slug)
     assert not OURS.search(theirs)
     assert theirs == ours or "your AI computer" in theirs
     assert theirs == ours or OURS.search(ours) or "AI computer" in ours or "planner" in ours or "processor" in ours

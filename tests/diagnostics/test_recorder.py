@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder, lost_while_recorded
+from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import S
@@ -353,25 +353,6 @@ def test_a_number_at_the_end_of_the_range_is_no_end_of_recording(there: list[int
     oldest_first = rig.place.all_files(".log")
     assert oldest_first[-1] == rig.place.file(".log")
     assert numbers(*(path for path in oldest_first if path in written)) == list(range(40))
-
-
-@pytest.mark.parametrize(
-    "beside",
-    [
-        "[" * 50_000,
-        '{"lost_in_receive_buffer": ' + "9" * 5000 + "}",
-        '{"lost_in_receive_buffer": 1e999}',
-        "\0",
-        "7",
-        "[]",
-    ],
-)
-def test_a_wrong_sidecar_is_as_if_it_were_not_there(beside: str, tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text(beside)
-    assert lost_while_recorded(tmp_path / "run.log") == 0
-    (tmp_path / "run.json").unlink()
-    os.mkfifo(tmp_path / "run.json")
-    assert lost_while_recorded(tmp_path / "run.log") == 0
 
 
 # ---------------------------------------------------------------- a power cut

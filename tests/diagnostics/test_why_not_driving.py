@@ -104,7 +104,7 @@ def watched(run: Run, frames: Frames) -> Picture:
     return view.picture(run.now_ns)
 
 
-def on_the_screen(report: BridgeReport) -> str:
+def on_the_screen(report: BridgeReport, loop_faults: int = 0) -> str:
     """What `fsai-vcu status` prints of that report."""
     nan = float("nan")
     state = SimpleNamespace(
@@ -123,6 +123,7 @@ def on_the_screen(report: BridgeReport) -> str:
         faults=[],
         emergency="",
         stopping="",
+        loop_faults=loop_faults,
         gate_reasons=[],
         why_not_driving=list(report.why_not_driving),
     )
@@ -143,6 +144,8 @@ def test_everybody_answers_in_the_same_words(begin: Callable[[], Run], act: Act,
     assert told(monitor) == bridge
     assert [one["text"] for one in state_of(picture)["why_not_driving"]] == monitor
     assert all(f"  - {sentence}\n" in on_the_screen(report) + "\n" for sentence in bridge)
+    assert "too busy" not in on_the_screen(report)
+    assert "3 times so far: this computer is too busy" in on_the_screen(report, 3)
 
 
 def last_first(frames: Frames) -> Frames:

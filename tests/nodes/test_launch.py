@@ -16,6 +16,7 @@ import pytest
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_nodes import composed, launch
 from fsai_nodes.launch import PARAMETERS, Program, arguments, programs
+from fsai_vcu.diagnostics.log.recorded import recorded
 from fsai_vcu.interface.units import MS
 
 CHECKOUT = Path(__file__).parents[2]
@@ -158,15 +159,20 @@ def test_a_drive_that_fails_on_a_busy_computer_says_so_last(
     status: int,
     stalls_ms: list[int],
     judged: bool,
+    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(launch, "run", lambda started: status)
-    monkeypatch.setattr(
-        StallMonitor, "stalls_ns", lambda _, since, least: [ms * MS for ms in stalls_ms if ms * MS >= least]
-    )
-    monkeypatch.setattr(sys, "argv", ["launch", "simulated_car:=true", "record:=runs/7", "can_interface:=loopback:x"])
+    stalls = [(begin_ns, begin_ns + length_ms * MS) for begin_ns, length_ms in enumerate(stalls_ms)]
+    monkeypatch.setattr(StallMonitor, "stalls", lambda _, since, least: [(a, b) for a, b in stalls if b - a >= least])
+    given = ("simulated_car:=true", f"record:={tmp_path}", "can_interface:=loopback:x")
+    monkeypatch.setattr(sys, "argv", ["launch", *given])
+    (tmp_path / "run.log").touch()
+    (tmp_path / "run.json").write_text('{"lost_in_receive_buffer": 0}')
     assert launch.main() == status
+    noted = [round((end_ns - begin_ns) / MS) for begin_ns, end_ns in recorded(tmp_path / "run.log").stalls_ns]
+    assert noted == [length_ms for length_ms in stalls_ms if length_ms >= 50]
     last = capsys.readouterr().err.splitlines()[-1]
     busy = "launch: this computer stood still for 109 ms, too busy for the car's deadlines: this run is not judged"
     assert ("why it ended" in last) if judged else last.startswith(busy)

@@ -24,6 +24,7 @@ from fsai_nodes import qos
 from fsai_nodes.conversions import path_to_msg
 from fsai_nodes.pitwall import SHOWN_NS, PitWall
 from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.report import loop_fault_words
 from fsai_vcu.interface.enums import AsState
 
 BLUE, YELLOW = int(ConeColor.BLUE), int(ConeColor.YELLOW)
@@ -195,13 +196,14 @@ def test_a_listener_that_fails_says_why(nodes: Nodes, wall: PitWall, monkeypatch
 
 def test_what_bridge_planner_and_controller_say_is_shown(nodes: Nodes, wall: PitWall) -> None:
     emergency = "the emergency brake was asked for: by /emergency_brake"
-    nodes.state |= {"emergency": emergency, "gate_reasons": ["torque held"], "stopping": "stale"}
+    nodes.state |= {"emergency": emergency, "gate_reasons": ["torque held"], "stopping": "stale", "loop_faults": 2}
     nodes.status |= {"note": "no cones ahead", "stop_distance_m": math.nan}
     nodes.command |= {"note": "no path"}
     wanted = {
         f"bridge: ESTOP_REQUEST: {emergency}": "fault",
         "bridge: stale": "warning",
         "bridge: torque held": "warning",
+        f"bridge: {loop_fault_words(2)}": "warning",
         "bridge: driving": "",
         "planner: no cones ahead, path of 6 m, 80 % sure": "warning",
         "controller: no path": "warning",

@@ -165,6 +165,7 @@ def test_the_demo_drives_again_only_after_a_failure_in_a_stall(
     runs: list[tuple[int | None, bool]],
     status: int,
     printed: list[str],
+    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -179,7 +180,7 @@ def test_the_demo_drives_again_only_after_a_failure_in_a_stall(
         return result
 
     monkeypatch.setattr(StallMonitor, "disturbed", lambda *_: "stood still for 52 ms" if disturbed else "")
-    assert rehearse(drive) == status
+    assert rehearse(drive, tmp_path) == status
     assert left == []
     lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]
     assert len(lines) == len(printed) and all(words in line for words, line in zip(printed, lines, strict=True))

@@ -22,11 +22,14 @@ from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.incident import (
     ALWAYS,
+    ChainLink,
     Explanation,
     Incident,
     IncidentKind,
+    Sureness,
     TimelineEntry,
     TimeRange,
+    candidate,
     within,
 )
 from fsai_vcu.diagnostics.explain.proof import proved
@@ -36,12 +39,21 @@ from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.units import ms
 
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
 
 OF_A_STAND: Final = frozenset(
     ("torque_not_given", "no_motion", "brake_unasked", "derated", "derated_hot", "derated_empty")
+)
+# Causes that a computer looks like which ran nothing for a while.
+OF_TIMES: Final = frozenset(
+    (
+        *("ai_silent", "ai_message_missing", "ai_comms_lost", "ai_unheard", "ai_computer_request", "stop_asked"),
+        *("handshake_lost", "handshake_stands", "vcu_silent", "vcu_hung", "wheels_stale", "steering_stale"),
+        *("command_stale", "loop_fault", "bus_lost", "backlog"),
+    )
 )
 SEPARATE: Final = 5  # of a kind and cause are told one by one
 MOST_INCIDENTS: Final = 100  # of a kind: a log with more is none of a car
@@ -64,10 +76,10 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
         for incident in kind[:MOST_INCIDENTS]
         if not any(car.begin_ns <= incident.t_ns <= car.end_ns for car in mixed)
     ]
-    incidents = [proved(record, one) for one in incidents]
+    incidents = [_of_a_busy_computer(record, proved(record, one)) for one in incidents]
     incidents = [one for one in incidents if not any(_told_by(other, one) for other in incidents)]
-    if record.ai_is_theirs:
-        incidents = [_of_theirs(incident) for incident in incidents]
+    if any(record.setting):
+        incidents = [_in_its_setting(record, incident) for incident in incidents]
     no_state = "" if len(record.series(AS_STATE)) else "without the AS state"
     return Explanation(
         heading={
@@ -88,8 +100,26 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
     )
 
 
-def _of_theirs(incident: Incident) -> Incident:
-    return replace(incident, candidates=tuple(replace(one, theirs=True) for one in incident.candidates))
+def _in_its_setting(record: Record, incident: Incident) -> Incident:
+    candidates = (replace(one, setting=record.setting) for one in incident.candidates)
+    return replace(incident, candidates=tuple(candidates))
+
+
+def _of_a_busy_computer(record: Record, incident: Incident) -> Incident:
+    """The same, with the computer that stood still or lost frames as its cause, where a silence was seen meanwhile."""
+    first = incident.candidates[0]
+    if first.slug not in OF_TIMES:
+        return incident
+    stall = record.recorded.stall(first.t_ns, incident.t_ns)
+    if stall is not None:
+        words = f"this computer stands still for {ms(stall[1] - stall[0])}: it runs nothing meanwhile"
+        cause = candidate("stood_still", Sureness.SHOWN, ChainLink(stall[0], words), *first.steps)
+    elif record.recorded.lost and first.slug == "bus_lost":
+        cause = candidate("frames_lost_here", Sureness.FITS, *first.steps)
+    else:
+        return incident
+    others = (one for one in incident.candidates if one.slug not in OF_TIMES)
+    return replace(incident, candidates=(cause, *others))
 
 
 def _told_by(other: Incident, one: Incident) -> bool:

@@ -13,7 +13,7 @@ from typing import Final
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.start_conditions import WORDS
-from fsai_vcu.diagnostics.remedies import REMEDIES, remedy_of
+from fsai_vcu.diagnostics.remedies import OURS, REMEDIES, Setting, remedy_of
 from fsai_vcu.interface.enums import ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES
 
@@ -22,19 +22,18 @@ from fsai_vcu.interface.messages import FAULT_NAMES
 class Cause:
     """One cause. `words` completes "because …".
 
-    `record` says what to record next time where the bus alone cannot tell more. `theirs`: the AI computer's frames are
-    not this software's.
+    `record` says what to record next time where the bus alone cannot tell more. `setting` chooses the remedy.
     """
 
     slug: str
     words: str
     record: str = ""
-    theirs: bool = False
+    setting: Setting = OURS
 
     @property
     def remedy(self) -> str:
         """What to do, as the user manual would say it."""
-        return remedy_of(self.slug, theirs=self.theirs)
+        return remedy_of(self.slug, self.setting)
 
 
 _TEAM_LOG: Final = (
@@ -67,6 +66,8 @@ _RECORD: Final[Mapping[str, str]] = {
 """What to record next time."""
 
 _OWN: Final[Mapping[str, str]] = {
+    "stood_still": "this computer stood still: it was too busy for real time",
+    "frames_lost_here": "this computer lost frames while it recorded: the log does not show what came",
     "ai_computer_request": "the AI computer asked for it (ESTOP_REQUEST 1)",
     "hvil_open": "the high-voltage interlock is open (HVIL_OPEN_FAULT)",
     "hvil_short": "the high-voltage interlock is shorted (HVIL_SHORT_FAULT)",

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
+from fsai_vcu.diagnostics.remedies import OURS, Setting
 from fsai_vcu.interface.bus_table import BY_ID
 
 
@@ -103,17 +104,17 @@ class ChainLink:
 class Candidate:
     """One cause that may be behind an incident, with its evidence, the earliest first.
 
-    `theirs`: what sends for the AI computer is not this software's bridge.
+    `setting` chooses what is to be done.
     """
 
     slug: str
     sureness: Sureness
     steps: tuple[ChainLink, ...]
-    theirs: bool = False
+    setting: Setting = OURS
 
     @property
     def cause(self) -> Cause:
-        return replace(CAUSES[self.slug], theirs=self.theirs)
+        return replace(CAUSES[self.slug], setting=self.setting)
 
     @property
     def t_ns(self) -> int:

@@ -24,6 +24,8 @@ from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints, Mask, straightened
+from fsai_vcu.diagnostics.log.recorded import Recorded
+from fsai_vcu.diagnostics.remedies import Setting
 from fsai_vcu.diagnostics.statistics.measure import NEVER_NS, first_echoes
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_cars, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
@@ -239,6 +241,7 @@ class Record:
     frames: of the one bus that has the car's messages, with the monotonic times; error_ns: when an error frame came.
     wrong_length: of each message that came so. clock_set: when the log's clock was, and by how much
     (back: less than 0). perhaps_set: the ends of pauses over which nothing breaks, so that it may have been set there.
+    recorded: what the computer that recorded did to the log.
     """
 
     def __init__(self, frames: Frames, revision: str | None = None, databases: Databases | None = None) -> None:
@@ -259,6 +262,7 @@ class Record:
         straight, back_ns = straightened(frames.t_ns)
         self.clock_set = [(int(straight[row]), -int(back_ns[row])) for row in np.flatnonzero(back_ns)]
         self.perhaps_set: Sequence[int] = ()
+        self.recorded = Recorded()
         self.begin_ns, self.end_ns = int(straight[0]), int(straight[-1])
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
@@ -302,6 +306,11 @@ class Record:
     def ai_speaks(self) -> bool:
         """Whether the log has any whole message of the AI computer."""
         return any(map(self.has, AI_IDS))
+
+    @property
+    def setting(self) -> Setting:
+        """The circumstances that choose what is to be done about a cause."""
+        return Setting(self.ai_is_theirs, self.recorded.virtual)
 
     @cached_property
     def ai_is_theirs(self) -> bool:

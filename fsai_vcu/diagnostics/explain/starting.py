@@ -272,4 +272,4 @@ def _of_cause(record: Record, one: Candidate) -> Obstacle:
 
 
 def _told(record: Record, obstacle: Obstacle, slug: str = "") -> Obstacle:
-    return replace(obstacle, remedy=remedy_of(slug or obstacle.slug, theirs=record.ai_is_theirs))
+    return replace(obstacle, remedy=remedy_of(slug or obstacle.slug, record.setting))

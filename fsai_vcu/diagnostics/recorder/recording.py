@@ -21,9 +21,10 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.export.tables import Tables
 from fsai_vcu.diagnostics.log.frames import frames_of
 from fsai_vcu.diagnostics.log.live import Received, log_frame
+from fsai_vcu.diagnostics.log.recorded import LOST_HERE
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import LOST_HERE, SegmentFolder
+from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 from fsai_vcu.runtime.recording import candump_line
 
 if TYPE_CHECKING:

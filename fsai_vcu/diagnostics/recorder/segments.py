@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import re
 import shutil
@@ -14,32 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
-from fsai_vcu.files import SETTINGS_BYTES, bytes_on_disk, open_lock, read_found
+from fsai_vcu.files import bytes_on_disk, open_lock
 from fsai_vcu.interface.errors import UserError
 
 _DIGITS: Final = 6
 _KINDS: Final = (".log", ".mcap", ".json")
 _RANGE: Final = 10**_DIGITS - 1  # segments are numbered from 1 to it, and then from 1 again
-_MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
-LOST_HERE: Final = "lost_in_receive_buffer"
-"""In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
-
-
-def lost_words(frames: int) -> str:
-    """What is said, everywhere, of frames that a listening machine lost itself."""
-    which = f"{frames} frame{'s' * (frames > 1)}"
-    return f"{which} lost in this machine's receive buffer: no fault of the bus or the car" if frames else ""
-
-
-def lost_while_recorded(log: Path) -> int:
-    """So many, by the file beside `log`; 0 where there is none that says so."""
-    try:
-        beside = Path(str(log).removesuffix(".gz")).with_suffix(".json")
-        lost = json.loads(read_found(beside, SETTINGS_BYTES))[LOST_HERE]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return 0
-    return lost if isinstance(lost, int) and 0 <= lost < _MOST_LOST else 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ from fsai_vcu.diagnostics.explain.signals import (
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames, straightened
 from fsai_vcu.diagnostics.log.part import Part
+from fsai_vcu.diagnostics.log.recorded import IN_ORDER, Recorded
 from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.diagnostics.statistics.measure import (
     MISSING_PERIODS,
@@ -47,7 +48,14 @@ from fsai_vcu.diagnostics.statistics.measure import (
 from fsai_vcu.diagnostics.statistics.senders import SecondSender
 from fsai_vcu.diagnostics.verdict.ai_side import mistakes
 from fsai_vcu.diagnostics.verdict.of_bus import Known, judge
-from fsai_vcu.diagnostics.verdict.own_faults import by_times, impossible, moved_back, steps_forward, twice
+from fsai_vcu.diagnostics.verdict.own_faults import (
+    by_times,
+    impossible,
+    moved_back,
+    of_the_recording,
+    steps_forward,
+    twice,
+)
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -93,11 +101,9 @@ class Verdict:
         """The exit status of every verb that judges a log."""
         return 0 if self.ok else 1
 
-    def unread(self, status: int, lost: str) -> Verdict:
-        """The same of a log that could not be read whole, where that is the status of reading it. `lost`: a sentence on
-        what this machine lost of it, or ''."""
-        why = (lost,) if lost else (UNREAD,) if status else ()
-        return replace(self, unknown=(*why, *self.unknown))
+    def unread(self, unread: bool) -> Verdict:
+        """The same of a log that could not be read whole, where that is so."""
+        return replace(self, unknown=(UNREAD, *self.unknown)) if unread else self
 
     def line(self) -> str:
         """In one line, without findings."""
@@ -175,11 +181,13 @@ def judged(
     *,
     bitrate: int | None = None,
     begin_ns: int | None = None,
+    recorded: Recorded = IN_ORDER,
 ) -> Judged:
     """All frames of a log, measured and judged; of those of a part with what came before and behind it as causes.
 
     Figures are of the part alone; of what happened, what has a moment in it counts. begin_ns: when the log began, where
-    its first frame is not among these. Raises explain.record.NoFrames.
+    its first frame is not among these. recorded: what the computer that recorded says of itself. Raises
+    explain.record.NoFrames.
     """
     part = part or Part()
     frames = part.always().of(frames)
@@ -199,6 +207,7 @@ def judged(
         whole.clock_set += [(step.t_ns, step.by_ns) for step in steps]
     whole.begin_ns = whole.begin_ns if begin_ns is None else begin_ns
     part_ns = part.bounds(whole.begin_ns)
+    whole.recorded = recorded.within(max(part_ns[0], whole.begin_ns), min(part_ns[1], whole.end_ns))
     notes += [step.finding(whole.channel) for step in steps if part_ns[0] <= step.t_ns <= part_ns[1]]
     if part_ns != ALWAYS:
         t_ns, back_ns = straightened(frames.t_ns)
@@ -206,13 +215,16 @@ def judged(
         set_back_ns = int(back_ns[: inside.argmax()].sum())  # before the part: it has the times of the whole
         frames = frames.at(frames.t_ns + set_back_ns).only(inside)
         record = Record(frames, whole.revision.name, databases)
-        record.perhaps_set = whole.perhaps_set
+        record.perhaps_set, record.recorded = whole.perhaps_set, whole.recorded
     off_ns = [cycle[:2] for cycle in whole.power_cycles]
     buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate, off_ns=off_ns)
     buses = [_with_gaps_before(bus, whole, part_ns) if bus.channel == whole.channel else bus for bus in buses]
     verdict = _verdict(whole, part_ns, record, buses)
     unknown = [words for words in (impossible(buses),) if words]
-    findings = [one for one in verdict.findings if not (unknown and by_times(one))]
+    findings = [
+        one for one in verdict.findings if not ((unknown and by_times(one)) or of_the_recording(one, whole.recorded))
+    ]
+    unknown += whole.recorded.sentences()
     findings = sorted([*findings, *notes], key=lambda one: (one.severity != "problem", one.t_ns or 0))
     unknown += [copies.words] if copies is not None and not copies.sure else []
     verdict = replace(verdict, findings=tuple(findings), unknown=(*unknown, *verdict.unknown))
@@ -300,7 +312,7 @@ def _known(
         absent=frozenset(absent),
         errors_ns=first_ns,
         errors_told=own and bool(len(record.error_ns)) and _all_told(record, told),
-        theirs=record.ai_is_theirs,
+        setting=record.setting,
         active=bool(len(state)) and state.values[-1] in (READY, DRIVING),
         others=not own,
         perhaps_set_ns=tuple(record.perhaps_set),
@@ -364,7 +376,7 @@ def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             found.append((int(t_ns[rows[0]]), "restart", words, len(rows)))
     for kind in ("power-cycle", "torque-limit", "warning", "go", "restart"):
         for begin_ns, _, words, count in sorted(each for each in found if each[1] == kind)[:1]:
-            remedy = remedy_of("vcu_reboot") if kind == "restart" else ""
+            remedy = remedy_of("vcu_reboot", record.setting) if kind == "restart" else ""
             more = f", {count} times in all" if count > 1 else ""
             yield Finding("note", kind, f"{words}{more}", remedy, begin_ns, channel=record.channel)
 
@@ -399,7 +411,7 @@ def _of_incident(incident: Incident) -> Finding:
     each = [one for one in incident.candidates[1:] if refused and one.sureness >= Sureness.SHOWN]
     named = dict.fromkeys(sentence(one) if refused else one.cause.words for one in (first, *each))
     return Finding(
-        "problem",
+        "note" if first.slug == "stood_still" else "problem",
         incident.kind.slug,
         f"{incident.what}, because {'; and '.join(named)}",
         first.cause.remedy,

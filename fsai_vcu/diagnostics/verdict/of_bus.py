@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import DEAD_NS
 from fsai_vcu.diagnostics.finding import Finding
-from fsai_vcu.diagnostics.remedies import remedy_of
+from fsai_vcu.diagnostics.remedies import OURS, Setting, remedy_of
 from fsai_vcu.diagnostics.statistics.echoes import EchoFault
 from fsai_vcu.diagnostics.statistics.measure import (
     LOAD_WINDOW_NS,
@@ -49,9 +49,9 @@ class Known:
     told: (identifier, moment) that a cause names as missing, foreign or an error. lengths: identifiers whose length one
     names. echoes_ns: moments of causes that name a missing echo. mixed: two cars speak, so that no echo means anything.
     shared: identifiers on which more than one sends. absent: those whose absence is said already. errors_ns: the first
-    error frame; errors_told: a cause names them all. theirs: the AI computer's program is not this one. active: the car
-    was about to drive when the log ended. others: it is another bus than the car's, which has other messages.
-    perhaps_set_ns: the ends of pauses that may be the log's clock, set forward.
+    error frame; errors_told: a cause names them all. setting: what chooses the remedies. active: the car was about to
+    drive when the log ended. others: it is another bus than the car's, which has other messages. perhaps_set_ns: the
+    ends of pauses that may be the log's clock, set forward.
     """
 
     told: frozenset[tuple[int | None, int]] = frozenset()
@@ -62,7 +62,7 @@ class Known:
     absent: frozenset[int] = frozenset()
     errors_ns: int | None = None
     errors_told: bool = False
-    theirs: bool = False
+    setting: Setting = OURS
     active: bool = False
     others: bool = False
     perhaps_set_ns: tuple[int, ...] = ()
@@ -142,7 +142,7 @@ class _Judge:
     ) -> Finding:
         """`remedy`: its place in the table, where it is not the kind."""
         t_ns = None if t_s is None else round(t_s * S)
-        to_do = remedy_of(remedy or kind, theirs=self.known.theirs) if grave else ""
+        to_do = remedy_of(remedy or kind, self.known.setting) if grave else ""
         can_ids = (ids,) if isinstance(ids, int) else ids
         return Finding("problem" if grave else "note", kind, words, to_do, t_ns, can_ids, self.bus.channel)
 
@@ -306,7 +306,9 @@ class _Judge:
         some = f"{len(lost)} of {len(self.bus.messages)} messages"
         text = f"frames of {some} are missing again and again, {part:.1%} of all"
         severity: Literal["problem", "note"] = "problem" if part > LOST_SHARE else "note"
-        return Finding(severity, "lossy", text, remedy_of("lossy"), None, tuple(sorted(lost)), self.bus.channel)
+        return Finding(
+            severity, "lossy", text, remedy_of("lossy", self.known.setting), None, tuple(sorted(lost)), self.bus.channel
+        )
 
     def _pauses(self, lossy: Iterable[int]) -> list[list[_Pause]]:
         """The longest pause of each message, those of one time together; not what a cause names."""
@@ -351,7 +353,7 @@ class _Judge:
         finding = self._finding(grave, "gap", text, ids, begin_ns / S)
         if len(pause) < MANY or len(ids) < messages or not grave:
             return finding
-        both = f"{remedy_of('recorder')}; {remedy_of('bus_lost')}"
+        both = f"{remedy_of('recorder')}; {remedy_of('bus_lost', self.known.setting)}"
         return Finding(finding.severity, "gap", text, both, finding.t_ns, ids, finding.channel)
 
 

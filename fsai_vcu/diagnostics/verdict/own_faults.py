@@ -15,6 +15,7 @@ from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, HANDSHAKE, PULSES, STATUS
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.frames import EPOCH_NS, ERROR, RECEIVED, SENT, Frames, Ints, Mask
+from fsai_vcu.diagnostics.log.recorded import Recorded
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, keys_of
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
@@ -47,7 +48,8 @@ _COMMANDS: Final = AI_IDS[1:]
 _ECHO: Final = "its adapter's echo; each counts once"
 _ECHO_OR_SECOND: Final = "its adapter's echo, or a second program that sends the same"
 
-_BY_TIMES: Final = frozenset({"intruder", "gap", "stopped", "period", "handshake", "echo", "load", "lossy"})
+_BY_GAPS: Final = frozenset({"gap", "period", "handshake", "echo", "lossy"})
+_BY_TIMES: Final = _BY_GAPS | {"intruder", "stopped", "load"}
 _IMPOSSIBLE_LOAD: Final = 1.05
 _ENOUGH_OF_LOAD: Final = 200  # frames
 
@@ -286,3 +288,13 @@ def impossible(buses: Sequence[BusStatistics]) -> str:
 def by_times(finding: Finding) -> bool:
     """True for a finding that rests on the times of the log alone."""
     return finding.kind in _BY_TIMES
+
+
+def of_the_recording(finding: Finding, recorded: Recorded) -> bool:
+    """True for a finding on gaps of a log whose computer lost frames, or stood still at that time."""
+    if finding.kind not in _BY_GAPS:
+        return False
+    if recorded.lost:
+        return True
+    t_ns = finding.t_ns
+    return t_ns is not None and recorded.stall(t_ns, t_ns + COMMS_LOST_NS) is not None

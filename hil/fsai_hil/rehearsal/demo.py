@@ -19,11 +19,12 @@ from typing import Any
 
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, PLOT, VERDICT, Stack, StackError, simulated_car, words_of
-from fsai_hil.rehearsal.stall_monitor import StallMonitor
+from fsai_hil.rehearsal.stall_monitor import BUSY_NS, StallMonitor, on_wall_clock
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
 from fsai_hil.simulator.world import World
 from fsai_hil.vcan.native import INTERFACE, existing_vcan, namespace_prefix, run_natively
+from fsai_vcu.diagnostics.log.recorded import note_stalls
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.revisions import revision
 
@@ -76,14 +77,14 @@ def main() -> int:
     if inside is not None:
         return inside
     try:
-        return rehearse(lambda: drive(args))
+        return rehearse(lambda: drive(args), args.out)
     except KeyboardInterrupt:
         print("demo: interrupted; every process has been ended", file=sys.stderr)
         return 130
 
 
-def rehearse(run: Callable[[], int]) -> int:
-    """The exit status of `run`; it is run once more if it failed on a disturbed machine."""
+def rehearse(run: Callable[[], int], out: Path) -> int:
+    """The exit status of `run`, which leaves its log in `out`; on a disturbed machine one that failed is repeated."""
     with tempfile.TemporaryDirectory(prefix="fsai-demo-") as folder, StallMonitor(Path(folder) / "stalls") as monitor:
         for last in (False, True):
             since_ns = time.monotonic_ns()
@@ -92,6 +93,7 @@ def rehearse(run: Callable[[], int]) -> int:
             except StackError as error:
                 print(f"demo: {error}", file=sys.stderr)
                 status = 1
+            note_stalls(out, on_wall_clock(monitor.stalls(since_ns, BUSY_NS)))
             what = monitor.disturbed(since_ns) if status else ""
             if not what:
                 break

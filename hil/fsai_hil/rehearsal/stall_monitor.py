@@ -24,10 +24,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
 NOTED_NS = 10_000_000  # woken later than this: noted, and a run that fails shows nothing
+BUSY_NS = 50_000_000  # a pause that leaves the CAN loop only half of the time after which its messages count as lost
 # What every bound allows for, on top, that the machine holds somebody up: more than goes unnoted (NOTED_NS + SLEEP_NS).
 STOOD_STILL_NS = 30_000_000
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
@@ -56,12 +58,16 @@ class StallMonitor:
                 raise OSError("the stall monitor to the machine's own delays does not start")
             time.sleep(SLEEP_NS / 1e9)
 
-    def stalls_ns(self, since_ns: int, at_least_ns: int = NOTED_NS) -> list[int]:
-        """How long the machine stood still, each time of `at_least_ns` or longer since then (CLOCK_MONOTONIC)."""
+    def stalls(self, since_ns: int, at_least_ns: int = NOTED_NS) -> list[tuple[int, int]]:
+        """From and to of each time of `at_least_ns` or longer since then at which the machine stood still, as
+        CLOCK_MONOTONIC."""
         lines = self._path.read_text().rpartition("\n")[0].splitlines()  # the last may be just being written
         stalls = [(int(due), int(woken)) for due, woken in map(str.split, lines) if due.isdigit()]
-        lasted_ns = [woken_ns - due_ns for due_ns, woken_ns in stalls if woken_ns >= since_ns]
-        return [each_ns for each_ns in lasted_ns if each_ns >= at_least_ns]
+        return [(due, woken) for due, woken in stalls if woken >= since_ns and woken - due >= at_least_ns]
+
+    def stalls_ns(self, since_ns: int, at_least_ns: int = NOTED_NS) -> list[int]:
+        """The lengths of `stalls`."""
+        return [woken_ns - due_ns for due_ns, woken_ns in self.stalls(since_ns, at_least_ns)]
 
     def disturbed(self, since_ns: int, at_least_ns: int = NOTED_NS) -> str:
         """That the machine stood still since then, in words; '' if it did not. What is rehearsed then shows nothing."""
@@ -79,6 +85,12 @@ class StallMonitor:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def on_wall_clock(stalls: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The same times in ns since 1970, as the clock stands now."""
+    ahead_ns = time.time_ns() - time.monotonic_ns()
+    return [(due_ns + ahead_ns, woken_ns + ahead_ns) for due_ns, woken_ns in stalls]
 
 
 def _stand_first() -> None:

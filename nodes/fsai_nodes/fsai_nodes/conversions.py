@@ -267,6 +267,7 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     message.listen_only = bool(report.listen_only)
 
     message.phase, message.emergency, message.stopping = report.phase, report.emergency or "", report.stopping or ""
+    message.loop_faults = _count(report.loop_faults)
     message.gate_reasons = list(report.sentences)
     message.why_not_driving = list(report.why_not_driving)
     message.operational_limits = list(report.limits.described())

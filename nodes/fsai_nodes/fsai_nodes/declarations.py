@@ -168,6 +168,7 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             phase=_WORDS,
             emergency=_WORDS,
             stopping=_WORDS,
+            loop_faults=FREE,
             gate_reasons=_SENTENCES,
             why_not_driving=UNREAD,
             operational_limits=_SENTENCES,

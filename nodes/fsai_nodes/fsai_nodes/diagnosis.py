@@ -5,7 +5,7 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.report import BridgeReport, loop_fault_words
 from fsai_vcu.runtime.loop_handle import NOT_DECODED
 
 
@@ -120,6 +120,6 @@ def _loop(report: BridgeReport, more: dict[str, object]) -> DiagnosticStatus:
     if any(count for key, count in more.items() if key.endswith(NOT_DECODED)):
         words = "messages between the node and its CAN loop were not understood"
         return _status("loop", DiagnosticStatus.WARN, words, values)
-    if report.loop_faults:
-        return _status("loop", DiagnosticStatus.WARN, "deadlines were missed by 50 ms or more", values)
+    if busy := loop_fault_words(report.loop_faults):
+        return _status("loop", DiagnosticStatus.WARN, busy, values)
     return _status("loop", DiagnosticStatus.OK, "in time", values)

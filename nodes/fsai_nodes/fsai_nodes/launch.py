@@ -21,15 +21,15 @@ from pathlib import Path
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
 from fsai_hil.rehearsal.stack import PLOT, VERDICT, simulated_car
-from fsai_hil.rehearsal.stall_monitor import StallMonitor
+from fsai_hil.rehearsal.stall_monitor import BUSY_NS, StallMonitor, on_wall_clock
 from fsai_hil.simulator.ground_truth import DEFAULT_PORT
 from fsai_hil.simulator.tracks import NAMES as TRACKS
 from fsai_hil.vcan.native import INTERFACE, existing_vcan
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.parameters import misspelt, yaml_of
+from fsai_vcu.diagnostics.log.recorded import note_stalls
 from fsai_vcu.diagnostics.transmit.replaying import is_physical
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.specification import COMMS_LOST_NS
 
 # launch argument, which is a parameter -> the nodes that get it
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
@@ -50,7 +50,6 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "acceleration_max_speed": ("vehicle_controller",),
 }
 CLI = "fsai_vcu.cli.main"
-BUSY_NS = COMMS_LOST_NS // 2  # a pause that leaves the CAN loop only the other half for its answer
 _STOP_TIMEOUT_S = 15.0  # time for the bridge's goodbye to the car
 
 
@@ -234,11 +233,17 @@ def run(started: Sequence[Program]) -> int:
     return status
 
 
-def rehearsed(started: Sequence[Program]) -> tuple[int, str]:
-    """As `run`, and how this computer was too busy meanwhile, in words; '' if it was not."""
+def rehearsed(started: Sequence[Program], folder: str) -> tuple[int, str]:
+    """As `run`, and how this computer was too busy meanwhile, in words; '' if it was not.
+
+    When it was is written beside the logs in `folder`, if one is named: what is said of them later needs it.
+    """
     with tempfile.TemporaryDirectory(prefix="fsai-launch-") as notes, StallMonitor(Path(notes, "stalls")) as monitor:
         since_ns = time.monotonic_ns()
-        return run(started), monitor.disturbed(since_ns, BUSY_NS)
+        status = run(started)
+        if folder:
+            note_stalls(Path(folder), on_wall_clock(monitor.stalls(since_ns, BUSY_NS)))
+        return status, monitor.disturbed(since_ns, BUSY_NS)
 
 
 def _shown(each: Argument) -> str:
@@ -262,8 +267,9 @@ def main() -> int:
     except ValueError as error:
         print(f"launch: {error}", file=sys.stderr)
         return 2
-    status, busy = rehearsed(started) if given.get("simulated_car") == "true" else (run(started), "")
-    if folder := given.get("record"):
+    folder = given.get("record", "")
+    status, busy = rehearsed(started, folder) if given.get("simulated_car") == "true" else (run(started), "")
+    if folder:
         verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
         print(f"launch: this run is in {folder}; why it ended: {verb} explain {folder}", file=sys.stderr)
     if busy and status not in (0, 130):  # a person ended it

@@ -21,6 +21,7 @@ from fsai_nodes.qos import profile
 from fsai_nodes.scene import Scene
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.core.planning.pose import lengths_along, to_odometry
+from fsai_vcu.core.report import loop_fault_words
 from fsai_vcu.diagnostics.monitor.sources import lag_words
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.units import MS
@@ -146,6 +147,8 @@ class PitWall(Listener):
             yield f"bridge: ESTOP_REQUEST: {state.emergency}", "fault"
         for words in filter(None, (state.stopping, *state.gate_reasons)):
             yield f"bridge: {words}", "warning"
+        if busy := loop_fault_words(state.loop_faults):
+            yield f"bridge: {busy}", "warning"
         yield f"bridge: {state.phase}", ""
         for topic in ("detected_cones", "path"):
             if late := self._inputs[topic].silence(now_ns):

@@ -1,0 +1,120 @@
+"""What the file beside a log says of the computer that recorded it: frames that it lost, times at which it stood still.
+
+A gap in such a log may be that computer's own. It is named then, and neither the car nor its plugs are blamed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeGuard
+
+from fsai_vcu.files import SETTINGS_BYTES, open_found, read_found
+from fsai_vcu.interface.units import ms
+
+LOST_HERE: Final = "lost_in_receive_buffer"
+"""In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
+STOOD_STILL: Final = "stood_still_ns"
+"""In a segment's JSON file: [from, to] in ns since 1970 of each time at which the recording machine stood still."""
+_MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
+_MOST_STALLS: Final = 1000
+_VIRTUAL: Final = ("vcan", "loopback:", "virtual:", "udp_multicast:")
+
+
+class Recorded(NamedTuple):
+    """What the recording computer did to its log.
+
+    lost: frames that came and found no room. stalls_ns: from and to of each time at which it stood still, on the log's
+    clock. virtual: the bus was inside the computer.
+    """
+
+    lost: int = 0
+    stalls_ns: tuple[tuple[int, int], ...] = ()
+    virtual: bool = False
+
+    def joined(self, other: Recorded) -> Recorded:
+        """The same of both logs together."""
+        both = (*self.stalls_ns, *other.stalls_ns)
+        return Recorded(self.lost + other.lost, both, self.virtual or other.virtual)
+
+    def within(self, begin_ns: float, end_ns: float) -> Recorded:
+        """The same, with the stalls that have a moment in that time."""
+        kept = (each for each in self.stalls_ns if each[0] <= end_ns and each[1] >= begin_ns)
+        return self._replace(stalls_ns=tuple(kept))
+
+    def stall(self, begin_ns: int, end_ns: int) -> tuple[int, int] | None:
+        """The longest stall that has a moment in that time."""
+        return max(self.within(begin_ns, end_ns).stalls_ns, key=lambda each: each[1] - each[0], default=None)
+
+    def sentences(self) -> Iterator[str]:
+        """A sentence for each kind of trouble; none where the computer was in order."""
+        if self.lost:
+            yield lost_words(self.lost)
+        if self.stalls_ns:
+            yield f"{stall_words(self.stalls_ns)}: it was too busy, so this run is not judged"
+
+
+IN_ORDER: Final = Recorded()
+
+
+def is_virtual(bus: str) -> bool:
+    """Return true for the name of a bus inside a computer, where nobody can pull a plug."""
+    return bus.startswith(_VIRTUAL)
+
+
+def lost_words(frames: int) -> str:
+    """The sentence on frames that a listening machine lost itself; '' for none."""
+    which = f"{frames} frame{'s' * (frames > 1)}"
+    return f"{which} lost in this machine's receive buffer: no fault of the bus or the car" if frames else ""
+
+
+def stall_words(stalls_ns: Sequence[tuple[int, int]]) -> str:
+    """The clause on times at which the computer stood still, of which there is at least one."""
+    longest = max(end_ns - begin_ns for begin_ns, end_ns in stalls_ns)
+    more = f" (the longest of {len(stalls_ns)} times)" if len(stalls_ns) > 1 else ""
+    return f"this computer stood still for {ms(longest)}{more}"
+
+
+def recorded(log: Path) -> Recorded:
+    """What the file beside `log` says; nothing where there is none, or one that is not a recorder's."""
+    try:
+        about = json.loads(read_found(_beside(log), SETTINGS_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return Recorded()
+    if not isinstance(about, dict):
+        return Recorded()
+    lost, bus = about.get(LOST_HERE), about.get("interface")
+    virtual = isinstance(bus, str) and is_virtual(bus)
+    return Recorded(lost if _is_count(lost) else 0, tuple(_stalls(about.get(STOOD_STILL))), virtual)
+
+
+def note_stalls(folder: Path, stalls_ns: Iterable[tuple[int, int]]) -> None:
+    """Write into the file beside each log of a folder when this computer stood still; [] where it never did.
+
+    stalls_ns: from and to, in ns since 1970. A file that cannot be changed is left as it is.
+    """
+    noted = [list(each) for each in stalls_ns][:_MOST_STALLS]
+    for log in folder.glob("*.log"):
+        with suppress(OSError, ValueError, RecursionError), open_found(_beside(log), write=True) as file:
+            about = json.loads(file.read(SETTINGS_BYTES))
+            if isinstance(about, dict) and LOST_HERE in about:
+                text = json.dumps(about | {STOOD_STILL: noted}, indent=2) + "\n"
+                file.seek(0)
+                file.write(text.encode())
+                file.truncate()
+
+
+def _beside(log: Path) -> Path:
+    return Path(str(log).removesuffix(".gz")).with_suffix(".json")
+
+
+def _is_count(value: Any) -> TypeGuard[int]:
+    return isinstance(value, int) and 0 <= value < _MOST_LOST
+
+
+def _stalls(noted: Any) -> Iterator[tuple[int, int]]:
+    for each in noted[:_MOST_STALLS] if isinstance(noted, list) else ():
+        if isinstance(each, list) and len(each) == 2 and all(map(_is_count, each)) and each[0] < each[1]:
+            yield each[0], each[1]
