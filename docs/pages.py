@@ -28,20 +28,29 @@ from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.planning.course import DOUBTED_M, DOUBTED_S, FLOOR
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import LIMITERS
+from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import (
     NEXT,
     OUTPUT,
     REACTIONS,
+    ROLES,
     STEERS_WHILE_STOPPING,
+    Asked,
     Brake,
     Consequence,
+    Latch,
+    Mode,
     Output,
+    Phase,
     Steer,
     Step,
+    SupervisorState,
 )
 from fsai_vcu.diagnostics.explain.causes import CAUSES
-from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.messages import VehicleState
 from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.configuration import KEYS
 from fsai_vcu.runtime.toml_lines import tomllib
@@ -199,12 +208,60 @@ def as_states() -> str:
 # ---------------------------------------------------------------- docs/troubleshooting.md
 
 
-def _causes(first: str, end: str | None) -> str:
+_SAID: Final = ("it says", "what to do")
+
+
+def _causes(first: str, end: str | None, without: Sequence[str] = ()) -> str:
     slugs = list(CAUSES)
     chosen = slugs[slugs.index(first) : slugs.index(end) if end else None]
-    causes = (CAUSES[slug] for slug in chosen)
-    rows = ((one.words, one.remedy + (f". Next time record {one.record}" if one.record else "")) for one in causes)
-    return _table(("it says", "what to do"), rows)
+    return _table(_SAID, (_cause(slug) for slug in chosen if slug not in without))
+
+
+def _cause(slug: str) -> tuple[str, str]:
+    one = CAUSES[slug]
+    return one.words, one.remedy + (f". Next time record {one.record}" if one.record else "")
+
+
+# The order in which somebody at the car can look: power, this computer, switches, display, this software, faults.
+_AS_OFF: Final = (
+    *("vcu_unheard", "listen_only", "no_ai_data", "ai_data_incomplete", "link_lost"),
+    *("power_cycle", "pushbar", "charging", "shutting_down", "asms", "tsms", "ts_not_running", "ebs_not_armed"),
+    *("no_mission", "manual", "unconfirmed", "status_not_selected", "status_running", "status_finished"),
+    *("latched", "estop_latched", "fault", "op_fault", "status_frozen"),
+)
+
+
+def as_off() -> str:
+    """The conditions of AS_OFF: those that the bus shows, and those that only the bridge knows."""
+    known = _bridge_knows()
+    lacking = {one.slug for one in CONDITIONS if AsState.AS_OFF in one.states} - set(_AS_OFF)
+    assert not lacking, f"conditions of AS_OFF without a place in the order: {lacking}"
+    rows = (known.get(slug) or _cause(slug) for slug in _AS_OFF)
+    return _table(("", *_SAID), ((str(place), *row) for place, row in enumerate(rows, 1)))
+
+
+def _bridge_knows() -> dict[str, tuple[str, str]]:
+    ready = SupervisorState(mode=Mode.AUTONOMOUS)
+    asked = Latch(Asked.OPERATOR, 0)
+    rows = {
+        "listen_only": (BridgeConfig(listen_only=True), ready, "`[can] listen_only = false`, once sending is meant"),
+        "manual": (BridgeConfig(), SupervisorState(), "`fsai-vcu mode autonomous`, or `[car] autonomous_at_power_up`"),
+        "unconfirmed": (
+            BridgeConfig(),
+            SupervisorState(mode=Mode.AUTONOMOUS, mission=Ami.AUTOCROSS, confirmed=frozenset(ROLES[1:])),
+            "start the node that is named; your own confirms each new `run_id` (`fsai-vcu check-stack`)",
+        ),
+        "latched": (
+            BridgeConfig(),
+            SupervisorState(mode=Mode.AUTONOMOUS, emergency=asked),
+            "find out why it was asked for, then `fsai-vcu reset` in AS_OFF",
+        ),
+    }
+    idle = Circumstances(Phase.IDLE)
+    return {
+        name: (why_not_driving(config, state, VehicleState(), idle, 0)[0], todo)
+        for name, (config, state, todo) in rows.items()
+    }
 
 
 def endings() -> str:
@@ -212,7 +269,7 @@ def endings() -> str:
 
 
 def starting() -> str:
-    return _causes("no_ai_data", "torque_not_given")
+    return _causes("no_ai_data", "torque_not_given", without=_AS_OFF)
 
 
 def driving() -> str:
@@ -454,7 +511,7 @@ def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
-        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
+        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, as_off, starting, driving, guards),
         *(keys, parameters, topics, services, figures, machines, targets, hazards),
     )
 }
