@@ -398,8 +398,8 @@ def _found(pattern: str, text: str) -> tuple[str, ...]:
     return match.groups()
 
 
-def figures() -> str:
-    """What the committed evidence says, one line for each of its pages."""
+def shown() -> str:
+    """What the committed evidence says, with the command that shows it; one line for each of its pages."""
     faults, missions, response, mutation = map(_read, ("faults.md", "missions.md", "response-time.md", "mutation.md"))
     worse, runs = _found(r"Worse than the rules allow: (\d+) of (\d+) runs", faults)
     (kinds,) = _found(r"(\d+) kinds of fault", faults)
@@ -412,42 +412,51 @@ def figures() -> str:
     )
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 4))
     rows = (
-        (f"{runs} runs with a fault in each, {kinds} kinds of fault", f"worse than the rules allow: {worse}", "faults"),
-        (f"{driven} drives, each mission to its end", f"failed: {failed}", "missions"),
+        (
+            f"{runs} runs with a fault in each, {kinds} kinds of fault",
+            "make campaign",
+            f"[worse than the rules allow: {worse}]({{evidence}}faults.md)",
+        ),
+        (f"{driven} drives, each mission to its end", "make missions", f"[failed: {failed}]({{evidence}}missions.md)"),
         (
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
-            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a polling C loop: {idle[7]}, {idle[8]})",
-            "response-time",
-        ),
-        (
-            " and ".join(f"{logs} logs with {what}" for what, logs, _, _ in told) + ", explained",
-            f"rightly: {' and '.join(right for _, _, right, _ in told)}; called OK that are not:"
-            f" {sum(int(green) for *_, green in told)}",
-            "explanations",
+            "make scrutineering",
+            f"[slowest {slowest} ms]({{evidence}}response-time.md); idle p50 {idle[2]} ms, p99 {idle[3]} ms"
+            f" (a polling C loop: {idle[7]}, {idle[8]})",
         ),
         (
             f"{mutants} small mistakes put into supervisor and gate",
-            f"not noticed by a test: {survived} ({mutants - killed - survived} change nothing)",
-            "mutation",
+            "make mutation",
+            f"[not noticed by a test: {survived}]({{evidence}}mutation.md)"
+            f" ({mutants - killed - survived} change nothing)",
+        ),
+        (
+            " and ".join(f"{logs} logs with {what}" for what, logs, _, _ in told) + ", explained",
+            "make explanations",
+            f"[rightly: {' and '.join(right for _, _, right, _ in told)}]({{evidence}}explanations.md);"
+            f" called OK that are not: {sum(int(green) for *_, green in told)}",
         ),
     )
-    links = ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows)
-    return _table(("what was done", "result", "all of it"), (*links, *_speeds()))
+    return _table(("what was done", "command", "result"), ((done, f"`{how}`", said) for done, how, said in rows))
 
 
-def _speeds() -> Iterator[tuple[str, str, str]]:
+def speeds() -> str:
     """Beside others in the same run."""
     ratios = {row["name"]: row["ratio"]["median"] for row in json.loads(_read("bench.json"))["results"]}
-    link = "[bench]({evidence}bench.json)"
     frames = "{decode a frame:.1f} and {encode a frame:.1f} times as fast as cantools".format_map(ratios)
     logs = "{decode random, wall:.0f} to {decode recorded, wall:.0f} times as fast as cantools decode".format_map(
         ratios
     )
-    yield "a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}", link
     slower = (
         f"{1 / ratios['answer a 0x520']:.1f} times as long as a loop of cantools and python-can that checks nothing"
     )
-    yield "0x520 answered, every check made", slower, link
+    return _table(
+        ("what was done", "[result]({evidence}bench.json)"),
+        (
+            ("a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}"),
+            ("0x520 answered, every check made", slower),
+        ),
+    )
 
 
 def machines() -> str:
@@ -512,7 +521,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
         *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, as_off, starting, driving, guards),
-        *(keys, parameters, topics, services, figures, machines, targets, hazards),
+        *(keys, parameters, topics, services, shown, speeds, machines, targets, hazards),
     )
 }
 
