@@ -147,16 +147,16 @@ def limiters() -> str:
 def give_up() -> str:
     seconds = ControllerSettings().give_up_s
     return (
-        f"A car that has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, is"
-        "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words. One that drives its own way"
-        "\nagain without passing the line has lost the lane: it gets no path any more, stops, and ends like that."
+        f"If the car has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, the"
+        "\ncontroller ends the run (`give_up_s`): ESTOP_REQUEST, with the reason in words. If the car drives along its own"
+        "\ndriven path again without passing the line, it has lost the lane: it gets no path any more, stops, and the run"
+        "\nends in the same manner."
         "\n"
-        "\nThe planner's confidence falls with what it sees: another way than a moment ago, a car beside its path,"
-        "\ncones where none stood, cones that are not where skidpad or acceleration have them. Where its average over"
-        f"\nsome looks stays under {FLOOR:g} for {DOUBTED_M:g} m of way, or for {DOUBTED_S:g} s if that is longer,"
-        "\nthe planner is *lost*: the plan is the way to a stop at once, along the last path that was not in doubt, and"
-        "\n`/planner_status`, `fsai-vcu status` and the pit wall say so and why. Once the car stands and sees its way"
-        "\nagain for a second, it drives on."
+        "\nThe planner's confidence falls when it sees another lane than a moment ago, a car beside its path, cones where"
+        "\nnone stood, or cones that are not where skidpad or acceleration have them. If its average over some looks stays"
+        f"\nunder {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer, the planner is *lost*: it"
+        "\nplans a stop at once, along the last path that was not in doubt. `/planner_status`, `fsai-vcu status` and the pit"
+        "\nwall show that it is lost, and why. Once the car stands and has seen its lane for a second, it drives on."
     )
 
 
@@ -520,7 +520,8 @@ def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
-        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, as_off, starting, driving, guards),
+        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states),
+        *(endings, as_off, starting, driving, guards),
         *(keys, parameters, topics, services, shown, speeds, machines, targets, hazards),
     )
 }
