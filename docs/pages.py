@@ -147,16 +147,17 @@ def limiters() -> str:
 def give_up() -> str:
     seconds = ControllerSettings().give_up_s
     return (
-        f"If the car has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, the"
-        "\ncontroller ends the run (`give_up_s`): ESTOP_REQUEST, with the reason in words. If the car drives along its own"
-        "\ndriven path again without passing the line, it has lost the lane: it gets no path any more, stops, and the run"
-        "\nends in the same manner."
+        f"If the car has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance,"
+        "\nthe controller ends the run (`give_up_s`): ESTOP_REQUEST, with the reason in words. If the car drives along"
+        "\nits own driven path again without passing the line, it has lost the lane: it gets no path any more, stops,"
+        "\nand the run ends in the same manner."
         "\n"
-        "\nThe planner's confidence falls when it sees another lane than a moment ago, a car beside its path, cones where"
-        "\nnone stood, or cones that are not where skidpad or acceleration have them. If its average over some looks stays"
-        f"\nunder {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer, the planner is *lost*: it"
-        "\nplans a stop at once, along the last path that was not in doubt. `/planner_status`, `fsai-vcu status` and the pit"
-        "\nwall show that it is lost, and why. Once the car stands and has seen its lane for a second, it drives on."
+        "\nThe planner's confidence falls when it sees another lane than a moment ago, a car beside its path, cones"
+        "\nwhere none stood, or cones that are not where skidpad or acceleration have them. If its average over some"
+        f"\nlooks stays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
+        "\nthe planner is *lost*: it plans a stop at once, along the last path that was not in doubt."
+        "\n`/planner_status`, `fsai-vcu status` and the pit wall show that it is lost, and why. Once the car stands and"
+        "\nhas seen its lane for a second, it drives on."
     )
 
 
