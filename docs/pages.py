@@ -28,20 +28,29 @@ from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.planning.course import DOUBTED_M, DOUBTED_S, FLOOR
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import LIMITERS
+from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import (
     NEXT,
     OUTPUT,
     REACTIONS,
+    ROLES,
     STEERS_WHILE_STOPPING,
+    Asked,
     Brake,
     Consequence,
+    Latch,
+    Mode,
     Output,
+    Phase,
     Steer,
     Step,
+    SupervisorState,
 )
 from fsai_vcu.diagnostics.explain.causes import CAUSES
-from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.messages import VehicleState
 from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.configuration import KEYS
 from fsai_vcu.runtime.toml_lines import tomllib
@@ -138,16 +147,17 @@ def limiters() -> str:
 def give_up() -> str:
     seconds = ControllerSettings().give_up_s
     return (
-        f"A car that has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance, is"
-        "\nended by the controller (`give_up_s`): ESTOP_REQUEST, with the reason in words. One that drives its own way"
-        "\nagain without passing the line has lost the lane: it gets no path any more, stops, and ends like that."
+        f"If the car has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance,"
+        "\nthe controller ends the run (`give_up_s`): ESTOP_REQUEST, with the reason in words. If the car drives along"
+        "\nits own driven path again without passing the line, it has lost the lane: it gets no path any more, stops,"
+        "\nand the run ends in the same manner."
         "\n"
-        "\nThe planner's confidence falls with what it sees: another way than a moment ago, a car beside its path,"
-        "\ncones where none stood, cones that are not where skidpad or acceleration have them. Where its average over"
-        f"\nsome looks stays under {FLOOR:g} for {DOUBTED_M:g} m of way, or for {DOUBTED_S:g} s if that is longer,"
-        "\nthe planner is *lost*: the plan is the way to a stop at once, along the last path that was not in doubt, and"
-        "\n`/planner_status`, `fsai-vcu status` and the pit wall say so and why. Once the car stands and sees its way"
-        "\nagain for a second, it drives on."
+        "\nThe planner's confidence falls when it sees another lane than a moment ago, a car beside its path, cones"
+        "\nwhere none stood, or cones that are not where skidpad or acceleration have them. If its average over some"
+        f"\nlooks stays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
+        "\nthe planner is *lost*: it plans a stop at once, along the last path that was not in doubt."
+        "\n`/planner_status`, `fsai-vcu status` and the pit wall show that it is lost, and why. Once the car stands and"
+        "\nhas seen its lane for a second, it drives on."
     )
 
 
@@ -199,12 +209,60 @@ def as_states() -> str:
 # ---------------------------------------------------------------- docs/troubleshooting.md
 
 
-def _causes(first: str, end: str | None) -> str:
+_SAID: Final = ("it says", "what to do")
+
+
+def _causes(first: str, end: str | None, without: Sequence[str] = ()) -> str:
     slugs = list(CAUSES)
     chosen = slugs[slugs.index(first) : slugs.index(end) if end else None]
-    causes = (CAUSES[slug] for slug in chosen)
-    rows = ((one.words, one.remedy + (f". Next time record {one.record}" if one.record else "")) for one in causes)
-    return _table(("it says", "what to do"), rows)
+    return _table(_SAID, (_cause(slug) for slug in chosen if slug not in without))
+
+
+def _cause(slug: str) -> tuple[str, str]:
+    one = CAUSES[slug]
+    return one.words, one.remedy + (f". Next time record {one.record}" if one.record else "")
+
+
+# The order in which somebody at the car can look: power, this computer, switches, display, this software, faults.
+_AS_OFF: Final = (
+    *("vcu_unheard", "listen_only", "no_ai_data", "ai_data_incomplete", "link_lost"),
+    *("power_cycle", "pushbar", "charging", "shutting_down", "asms", "tsms", "ts_not_running", "ebs_not_armed"),
+    *("no_mission", "manual", "unconfirmed", "status_not_selected", "status_running", "status_finished"),
+    *("latched", "estop_latched", "fault", "op_fault", "status_frozen"),
+)
+
+
+def as_off() -> str:
+    """The conditions of AS_OFF: those that the bus shows, and those that only the bridge knows."""
+    known = _bridge_knows()
+    lacking = {one.slug for one in CONDITIONS if AsState.AS_OFF in one.states} - set(_AS_OFF)
+    assert not lacking, f"conditions of AS_OFF without a place in the order: {lacking}"
+    rows = (known.get(slug) or _cause(slug) for slug in _AS_OFF)
+    return _table(("", *_SAID), ((str(place), *row) for place, row in enumerate(rows, 1)))
+
+
+def _bridge_knows() -> dict[str, tuple[str, str]]:
+    ready = SupervisorState(mode=Mode.AUTONOMOUS)
+    asked = Latch(Asked.OPERATOR, 0)
+    rows = {
+        "listen_only": (BridgeConfig(listen_only=True), ready, "`[can] listen_only = false`, once sending is meant"),
+        "manual": (BridgeConfig(), SupervisorState(), "`fsai-vcu mode autonomous`, or `[car] autonomous_at_power_up`"),
+        "unconfirmed": (
+            BridgeConfig(),
+            SupervisorState(mode=Mode.AUTONOMOUS, mission=Ami.AUTOCROSS, confirmed=frozenset(ROLES[1:])),
+            "start the node that is named; your own confirms each new `run_id` (`fsai-vcu check-stack`)",
+        ),
+        "latched": (
+            BridgeConfig(),
+            SupervisorState(mode=Mode.AUTONOMOUS, emergency=asked),
+            "find out why it was asked for, then `fsai-vcu reset` in AS_OFF",
+        ),
+    }
+    idle = Circumstances(Phase.IDLE)
+    return {
+        name: (why_not_driving(config, state, VehicleState(), idle, 0)[0], todo)
+        for name, (config, state, todo) in rows.items()
+    }
 
 
 def endings() -> str:
@@ -212,7 +270,7 @@ def endings() -> str:
 
 
 def starting() -> str:
-    return _causes("no_ai_data", "torque_not_given")
+    return _causes("no_ai_data", "torque_not_given", without=_AS_OFF)
 
 
 def driving() -> str:
@@ -341,8 +399,8 @@ def _found(pattern: str, text: str) -> tuple[str, ...]:
     return match.groups()
 
 
-def figures() -> str:
-    """What the committed evidence says, one line for each of its pages."""
+def shown() -> str:
+    """What the committed evidence says, with the command that shows it; one line for each of its pages."""
     faults, missions, response, mutation = map(_read, ("faults.md", "missions.md", "response-time.md", "mutation.md"))
     worse, runs = _found(r"Worse than the rules allow: (\d+) of (\d+) runs", faults)
     (kinds,) = _found(r"(\d+) kinds of fault", faults)
@@ -355,42 +413,51 @@ def figures() -> str:
     )
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 4))
     rows = (
-        (f"{runs} runs with a fault in each, {kinds} kinds of fault", f"worse than the rules allow: {worse}", "faults"),
-        (f"{driven} drives, each mission to its end", f"failed: {failed}", "missions"),
+        (
+            f"{runs} runs with a fault in each, {kinds} kinds of fault",
+            "make campaign",
+            f"[worse than the rules allow: {worse}]({{evidence}}faults.md)",
+        ),
+        (f"{driven} drives, each mission to its end", "make missions", f"[failed: {failed}]({{evidence}}missions.md)"),
         (
             f"{echoes} handshakes on a vcan0, idle and under load; the car allows 100 ms",
-            f"slowest {slowest} ms; idle p50 {idle[2]} ms, p99 {idle[3]} ms (a polling C loop: {idle[7]}, {idle[8]})",
-            "response-time",
-        ),
-        (
-            " and ".join(f"{logs} logs with {what}" for what, logs, _, _ in told) + ", explained",
-            f"rightly: {' and '.join(right for _, _, right, _ in told)}; called OK that are not:"
-            f" {sum(int(green) for *_, green in told)}",
-            "explanations",
+            "make scrutineering",
+            f"[slowest {slowest} ms]({{evidence}}response-time.md); idle p50 {idle[2]} ms, p99 {idle[3]} ms"
+            f" (a polling C loop: {idle[7]}, {idle[8]})",
         ),
         (
             f"{mutants} small mistakes put into supervisor and gate",
-            f"not noticed by a test: {survived} ({mutants - killed - survived} change nothing)",
-            "mutation",
+            "make mutation",
+            f"[not noticed by a test: {survived}]({{evidence}}mutation.md)"
+            f" ({mutants - killed - survived} change nothing)",
+        ),
+        (
+            " and ".join(f"{logs} logs with {what}" for what, logs, _, _ in told) + ", explained",
+            "make explanations",
+            f"[rightly: {' and '.join(right for _, _, right, _ in told)}]({{evidence}}explanations.md);"
+            f" called OK that are not: {sum(int(green) for *_, green in told)}",
         ),
     )
-    links = ((done, said, f"[{page}]({{evidence}}{page}.md)") for done, said, page in rows)
-    return _table(("what was done", "result", "all of it"), (*links, *_speeds()))
+    return _table(("what was done", "command", "result"), ((done, f"`{how}`", said) for done, how, said in rows))
 
 
-def _speeds() -> Iterator[tuple[str, str, str]]:
+def speeds() -> str:
     """Beside others in the same run."""
     ratios = {row["name"]: row["ratio"]["median"] for row in json.loads(_read("bench.json"))["results"]}
-    link = "[bench]({evidence}bench.json)"
     frames = "{decode a frame:.1f} and {encode a frame:.1f} times as fast as cantools".format_map(ratios)
     logs = "{decode random, wall:.0f} to {decode recorded, wall:.0f} times as fast as cantools decode".format_map(
         ratios
     )
-    yield "a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}", link
     slower = (
         f"{1 / ratios['answer a 0x520']:.1f} times as long as a loop of cantools and python-can that checks nothing"
     )
-    yield "0x520 answered, every check made", slower, link
+    return _table(
+        ("what was done", "[result]({evidence}bench.json)"),
+        (
+            ("a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}"),
+            ("0x520 answered, every check made", slower),
+        ),
+    )
 
 
 def machines() -> str:
@@ -454,8 +521,9 @@ def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
 BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     make.__name__: make
     for make in (
-        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states, endings, starting, driving, guards),
-        *(keys, parameters, topics, services, figures, machines, targets, hazards),
+        *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states),
+        *(endings, as_off, starting, driving, guards),
+        *(keys, parameters, topics, services, shown, speeds, machines, targets, hazards),
     )
 }
 
