@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time to listen for")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if args.config is None and not args.wheels and not (USUAL_PATH.exists() or INSTALLED.exists()):
-        return _show(examine(laptop()), as_json=args.json)
+        return _show(examine(laptop(args.interface, args.seconds)), as_json=args.json)
     configuration: Configuration | None = None
     problems: tuple[str, ...] = ()
     try:

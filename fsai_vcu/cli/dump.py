@@ -99,11 +99,11 @@ def run(args: argparse.Namespace) -> int:
     lines = _Lines(args, decoding)
     on_screen = args.count is None and sys.stdout.isatty() and not sources.live
     left = _ON_SCREEN if on_screen else args.count
-    received_at = time.monotonic()
+    received_at, silent = time.monotonic(), True
     try:
         for frames in map(lines.chosen, sources.chunks()):
             if len(frames):
-                received_at = time.monotonic()
+                received_at, silent = time.monotonic(), False
                 lines.zero_ns = None if sources.live else sources.first_ns
                 shown = frames if left is None else frames.head(left)
                 write_out(lines.block(shown))
@@ -114,6 +114,8 @@ def run(args: argparse.Namespace) -> int:
                             _say_more(args.verb, sources)
                         break
             elif args.idle_ms is not None and (time.monotonic() - received_at) * 1000 >= args.idle_ms:
+                if silent:
+                    print(f"fsai-vcu {args.verb}: no frame on {sources.name} in {args.idle_ms:g} ms", file=sys.stderr)
                 break
     except KeyboardInterrupt:
         if not sources.live:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.runtime.configuration import usual_environment
+from fsai_vcu.runtime.transport import DISTRIBUTIONS
 
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
@@ -22,7 +23,7 @@ OF_SERVICES = frozenset({"vcu_bridge", "cone_detector", "path_planner", "vehicle
 OF_OPERATORS = frozenset({"operator", "listener", "visualization"})
 _INSTALLED_POLICY = Path("/usr/share/fsai/security/policy.xml")
 _CHECKOUT_POLICY = Path(__file__).resolve().parents[2] / "systemd" / "security" / "policy.xml"
-_DISTRIBUTION = Path("/opt/ros/jazzy")
+_DISTRIBUTIONS = Path("/opt/ros")
 # What the distribution's setup file is to say again: our own ROS 2 may be another one, from the package index.
 _OUR_OWN = {"LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH"}
 
@@ -44,8 +45,8 @@ def run(args: argparse.Namespace) -> int:
     tool = _find_tool()
     if tool is None:
         raise UserError(
-            "no `ros2 security` here: it is part of the distribution (sudo apt install ros-jazzy-sros2) and not on the "
-            f"package index; neither on the PATH nor in {_DISTRIBUTION}"
+            "no `ros2 security` here: it is part of the distribution (sudo apt install ros-$ROS_DISTRO-sros2) and not "
+            f"on the package index; neither on the PATH nor in {_DISTRIBUTIONS}"
         )
     keystore = args.keystore.absolute()
     new = not (keystore / "enclaves").is_dir()
@@ -103,7 +104,8 @@ def _give(keystore: Path) -> str:
 
 def _find_tool() -> _Tool | None:
     """None where there is no `ros2 security`. sudo has a PATH of its own, so the usual place is looked at, too."""
-    ros2 = shutil.which("ros2") or shutil.which("ros2", path=_DISTRIBUTION / "bin")
+    usual = os.pathsep.join(str(_DISTRIBUTIONS / name / "bin") for name in DISTRIBUTIONS)
+    ros2 = shutil.which("ros2") or shutil.which("ros2", path=usual)
     if ros2 is None:
         return None
     command, environ = [ros2, "security"], dict(os.environ)

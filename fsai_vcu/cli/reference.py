@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 from fsai_vcu.cli.completion import metavar_of, words_of
-from fsai_vcu.cli.main import all_verbs, parser_of
+from fsai_vcu.cli.main import GROUPS, all_verbs, parser_of
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu reference -o docs/reference.md\n  fsai-vcu reference --man | man -l -"
@@ -51,7 +52,7 @@ def examples_of(parser: argparse.ArgumentParser) -> list[str]:
 
 def markdown() -> str:
     """The page as Markdown."""
-    verbs = _verbs()
+    groups = _groups()
     lines = [
         "# fsai-vcu: reference",
         "",
@@ -63,16 +64,18 @@ def markdown() -> str:
         "|---|---|",
         *(f"| {status} | {meaning} |" for status, meaning in _STATUSES),
         "",
-        "| verb | what it does |",
+        "| group | verbs |",
         "|---|---|",
-        *(f"| [{verb}](#fsai-vcu-{verb}) | {_cell(summary)} |" for verb, summary, _ in verbs),
+        *(f"| {group} | {', '.join(f'[{verb}](#fsai-vcu-{verb})' for verb, _, _ in of)} |" for group, of in groups),
     ]
-    for verb, _, parser in verbs:
-        lines += ["", f"## fsai-vcu {verb}", "", *_paragraphs(parser), "", f"    {_synopsis(parser)}"]
-        if rows := list(_rows(parser)):
-            lines += ["", "| argument | meaning |", "|---|---|"]
-            lines += [f"| `{_cell(name)}` | {_cell(meaning)} |" for name, meaning in rows]
-        lines += ["", "Example:", "", *(f"    {line}" for line in examples_of(parser))]
+    for group, verbs in groups:
+        lines += ["", f"## {group[0].upper()}{group[1:]}"]
+        for verb, _, parser in verbs:
+            lines += ["", f"### fsai-vcu {verb}", "", *_paragraphs(parser), "", f"    {_synopsis(parser)}"]
+            if rows := list(_rows(parser)):
+                lines += ["", "| argument | meaning |", "|---|---|"]
+                lines += [f"| `{_cell(name)}` | {_cell(meaning)} |" for name, meaning in rows]
+            lines += ["", "Example:", "", *(f"    {line}" for line in examples_of(parser))]
     return "\n".join(lines) + "\n"
 
 
@@ -89,7 +92,7 @@ def manual() -> str:
         _roff(_INTRODUCTION.replace("`", "")),
         ".SH VERBS",
     ]
-    for verb, _, parser in _verbs():
+    for verb, _, parser in chain.from_iterable(verbs for _, verbs in _groups()):
         lines += [f".SS {_roff(verb)}", *(_roff(line) for line in _paragraphs(parser))]
         lines += [".PP", f".B {_roff(_synopsis(parser))}"]
         for name, meaning in _rows(parser):
@@ -101,9 +104,12 @@ def manual() -> str:
     return "\n".join(line if line else ".PP" for line in lines) + "\n"
 
 
-def _verbs() -> list[tuple[str, str, argparse.ArgumentParser]]:
-    """(verb, what it does, its parser), in the order of the help."""
-    return [(verb, summary, parser_of(verb)) for verb, (_, summary, _) in all_verbs().items()]
+def _groups() -> list[tuple[str, list[tuple[str, str, argparse.ArgumentParser]]]]:
+    """(group, its (verb, what it does, its parser)), in the order of the help."""
+    return [
+        (group, [(verb, summary, parser_of(verb)) for verb, (_, summary, of) in all_verbs().items() if of == group])
+        for group in GROUPS
+    ]
 
 
 def _synopsis(parser: argparse.ArgumentParser) -> str:

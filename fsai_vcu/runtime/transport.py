@@ -20,6 +20,8 @@ _RANGE, _PROFILES, _BUILTIN = (
     "FASTDDS_BUILTIN_TRANSPORTS",
 )
 _DOMAIN: Final = "ROS_DOMAIN_ID"
+DISTRIBUTIONS: Final = ("jazzy", "humble", "kilted")
+"""Distributions of ROS 2 with which the nodes, or their part of its API, were tried; the first is preferred."""
 DOMAIN_MAX: Final = 232  # beyond it there are no UDP ports
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250  # PB and DG of the RTPS specification (DDSI-RTPS 2.5, 9.6.2.3)
 _IMPLEMENTATION, _LOCALHOST_ONLY = "RMW_IMPLEMENTATION", "ROS_LOCALHOST_ONLY"

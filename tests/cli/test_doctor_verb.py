@@ -105,7 +105,6 @@ def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
         (replace(WELL, bus=replace(BUS, pulses=None)), "wheels", "no pulses (0x526)"),
         (replace(WELL, bus=replace(BUS, pulses=(9, 0, 0, 0))), "wheels", "do not agree"),
         (replace(WELL, ros=Ros()), "ROS 2", "rclpy is not in this"),
-        (replace(WELL, ros=replace(WELL.ros, distribution="humble")), "ROS 2", "humble"),
         (replace(WELL, ros=replace(WELL.ros, messages=False)), "ROS 2", "fsai_msgs not installed"),
         (replace(WELL, listening=("0.0.0.0",)), "DDS", "listens on 0.0.0.0"),
         (replace(WELL, wanted=replace(WANTED, discovery="subnet")), "DDS", "anyone there can drive the car"),
@@ -190,6 +189,8 @@ LEFT = ("/dev/shm/fastrtps_0a", "/dev/shm/fastrtps_0a_el")
         (replace(WELL, listening=None), "DDS", "note", "not looked at: run with sudo"),
         (replace(WELL, ros=replace(WELL.ros, implementation=None)), "DDS", "note", "not looked at: run with sudo"),
         (replace(WELL, dds_leftovers=LEFT), "DDS", "note", "2 files in /dev/shm of ROS programs that were killed"),
+        (replace(WELL, ros=replace(WELL.ros, distribution="humble")), "ROS 2", "right", "humble"),
+        (replace(WELL, ros=replace(WELL.ros, distribution="lunar")), "ROS 2", "note", "lunar, with which nothing was"),
         (replace(WELL, ros=replace(WELL.ros, unused="/opt/ros/jazzy")), "ROS 2", "note", "/opt/ros/jazzy is there too"),
         (replace(WELL, ros=Ros("/opt/fsai", "", True, True)), "ROS 2", "right", "from the package index, /opt/fsai"),
         (
@@ -324,6 +325,7 @@ def test_a_missing_configuration_is_reported_the_rest_is_checked(
 # ---------------------------------------------------------------- on a laptop
 
 LAPTOP = Machine(car_pc=False, user="ada", ros=WELL.ros)
+HEARD = BusTraffic(2.0, frames=90, from_car=True, from_others=True, revision="2026", revision_why="0x300 comes")
 
 
 @pytest.mark.parametrize(
@@ -333,6 +335,16 @@ LAPTOP = Machine(car_pc=False, user="ada", ros=WELL.ros)
         (LAPTOP, "bus", "note", "this kernel has no vcan: loopback:NAME", ""),
         (replace(LAPTOP, kernel_has_vcan=True), "bus", "note", "no vcan0 yet", "ip link add dev vcan0 type vcan"),
         (replace(LAPTOP, vcan="vcan0"), "bus", "right", "vcan0 is up", ""),
+        (
+            replace(LAPTOP, bus=BusTraffic(2.0, problem="no CAN interface 'can0'")),
+            "bus",
+            "problem",
+            "'can0'",
+            "put the",
+        ),
+        (replace(LAPTOP, bus=BusTraffic(2.0)), "bus", "problem", "silent for 2 s", "low voltage"),
+        (replace(LAPTOP, bus=HEARD), "bus", "right", "the VCU sends: 90 frames in 2 s", ""),
+        (replace(LAPTOP, bus=HEARD), "revision", "right", "2026 (0x300 comes)", ""),
         (replace(LAPTOP, domain_id="7"), "DDS", "right", "domain 7, on the loopback", ""),
         (replace(LAPTOP, domain_id="233"), "DDS", "problem", "ROS_DOMAIN_ID is 233", "up to 101"),
         (replace(LAPTOP, domain_id="lab"), "DDS", "problem", "ROS_DOMAIN_ID is lab", "unset it"),
@@ -374,7 +386,7 @@ def test_what_is_to_be_put_in_order_is_not_all_well(
 ) -> None:
     for name in ("USUAL_PATH", "INSTALLED"):
         monkeypatch.setattr(f"fsai_vcu.cli.doctor.{name}", tmp_path / "absent")
-    monkeypatch.setattr("fsai_vcu.cli.doctor.laptop", lambda: machine)
+    monkeypatch.setattr("fsai_vcu.cli.doctor.laptop", lambda *_: machine)
     assert main(["doctor"]) == ("wrong" in last and not last.startswith("nothing"))
     assert capsys.readouterr().out.splitlines()[-1] == last
 

@@ -54,7 +54,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     tool.write_text(STAND_IN)
     tool.chmod(0o755)
     (tmp_path / "jazzy" / "setup.bash").write_text(f'export PATH="{tool.parent}:$PATH"\n{SETUP}')
-    monkeypatch.setattr(enclaves, "_DISTRIBUTION", tmp_path / "jazzy")
+    monkeypatch.setattr(enclaves, "_DISTRIBUTIONS", tmp_path)
     monkeypatch.setattr(configuration, "USUAL_PATH", tmp_path / "fsai.toml")
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     monkeypatch.setenv("LD_LIBRARY_PATH", ":/opt/fsai/lib")
@@ -191,10 +191,10 @@ def test_missing_ros2_tools_give_one_line_with_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(enclaves, "_DISTRIBUTION", tmp_path / "jazzy")
+    monkeypatch.setattr(enclaves, "_DISTRIBUTIONS", tmp_path)
     assert main(["enclaves", "--keystore", str(tmp_path / "keystore")]) != 0
     said = capsys.readouterr().err
-    assert "ros-jazzy-sros2" in said and len(said.strip().splitlines()) == 1
+    assert "ros-$ROS_DISTRO-sros2" in said and len(said.strip().splitlines()) == 1
     assert not (tmp_path / "keystore").exists()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -28,8 +29,8 @@ def test_committed_reference_is_current_on_any_terminal(monkeypatch: pytest.Monk
 def test_the_reference_explains_every_verb_and_option() -> None:
     text = markdown()
     for verb in all_verbs():
-        _, _, chapter = text.partition(f"\n## fsai-vcu {verb}\n")
-        chapter = chapter.partition("\n## ")[0]
+        _, _, chapter = text.partition(f"\n### fsai-vcu {verb}\n")
+        chapter = re.split(r"\n##+ ", chapter)[0]
         for action in parser_of(verb)._actions:
             assert action.help, f"{verb} {action.dest}"
             if action.help is argparse.SUPPRESS:

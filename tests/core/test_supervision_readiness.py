@@ -142,9 +142,9 @@ def test_in_as_ready_the_rest_of_5_s_is_told() -> None:
 def test_in_as_driving_the_rest_of_3_s_is_reported_first() -> None:
     for since_ns, held in (
         (NOW - 3 * S, NO_COMMAND),
-        (NOW - 3 * S + 1, "standing still after AS_DRIVING: 0.0 s of 3 s left"),
-        (NOW - 1 * S, "standing still after AS_DRIVING: 2.0 s of 3 s left"),
-        (None, "standing still after AS_DRIVING: 3.0 s of 3 s left"),
+        (NOW - 3 * S + 1, "waiting 3 s at standstill after AS_DRIVING: 0.0 s left"),
+        (NOW - 1 * S, "waiting 3 s at standstill after AS_DRIVING: 2.0 s left"),
+        (None, "waiting 3 s at standstill after AS_DRIVING: 3.0 s left"),
     ):
         assert answer(AsState.AS_DRIVING, state={"driving_since_ns": since_ns}) == (held,)
     assert answer(AsState.AS_DRIVING, status={"go_signal": False}) == (

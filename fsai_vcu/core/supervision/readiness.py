@@ -91,7 +91,7 @@ def _held(config: BridgeConfig, state: SupervisorState, now_ns: int) -> tuple[st
     since_ns = now_ns if state.driving_since_ns is None else state.driving_since_ns
     left_ns = config.launch_wait_ns - (now_ns - since_ns)
     if left_ns > 0:
-        return (f"standing still after AS_DRIVING: {left_ns / 1e9:.1f} s of 3 s left",)
+        return (f"waiting 3 s at standstill after AS_DRIVING: {left_ns / 1e9:.1f} s left",)
     if state.stop is None and state.emergency is None:
         return ("no fresh command from the controller, or 0x520 is late or not known: torque is held at 0",)
     return ()

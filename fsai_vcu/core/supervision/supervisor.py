@@ -210,7 +210,7 @@ class Asked(Enum):
     """A stop or an emergency brake that somebody asked for: nothing is broken."""
 
     MANUAL = "manual mode was asked for"
-    MISSION_DONE = "the mission is done"
+    MISSION_DONE = "mission complete: braking to a stop"
     OPERATOR = "the emergency brake was asked for"
     MISSION = "the mission or its controller asked for the emergency brake"
     SHUTDOWN = "this software was stopped"

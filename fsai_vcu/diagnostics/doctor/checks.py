@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Machine, Wanted
 from fsai_vcu.diagnostics.finding import Finding
-from fsai_vcu.runtime.transport import DOMAIN_MAX
+from fsai_vcu.runtime.transport import DISTRIBUTIONS, DOMAIN_MAX
 
 _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
@@ -34,6 +34,11 @@ def place(machine: Machine) -> Iterator[Finding]:
 
 
 def vcan(machine: Machine) -> Iterator[Finding]:
+    if machine.bus is not None:  # one that was named
+        yield from _traffic(machine.bus)
+        if machine.bus.revision:
+            yield _right("revision", f"{machine.bus.revision} ({machine.bus.revision_why})")
+        return
     stand_in = "loopback:NAME stands in for a bus wherever one is named, as in fsai-vcu vcu loopback:lab"
     if machine.vcan:
         yield _right("bus", f"{machine.vcan} is up; {stand_in}")
@@ -161,6 +166,22 @@ def bus(machine: Machine) -> Iterator[Finding]:
     if wanted is None or seen is None:
         yield _note("bus", "not listened to")
         return
+    yield from _traffic(seen)
+    if not seen.from_car:
+        return
+    if seen.revision != wanted.revision:
+        yield _wrong(
+            "revision",
+            f"the bus has {seen.revision} ({seen.revision_why}), the configuration says {wanted.revision}",
+            f'[can] revision = "{seen.revision}"',
+        )
+    else:
+        yield _right("revision", f"{seen.revision} ({seen.revision_why})")
+    yield from _wheels(wanted, seen)
+
+
+def _traffic(seen: BusTraffic) -> Iterator[Finding]:
+    """The finding on who sends on a bus."""
     if seen.problem:
         yield _wrong("bus", seen.problem, "first put the interface right")
         return
@@ -187,15 +208,6 @@ def bus(machine: Machine) -> Iterator[Finding]:
         )
     else:
         yield _right("bus", f"the VCU sends: {seen.frames} frames in {seen.seconds:g} s")
-    if seen.revision != wanted.revision:
-        yield _wrong(
-            "revision",
-            f"the bus has {seen.revision} ({seen.revision_why}), the configuration says {wanted.revision}",
-            f'[can] revision = "{seen.revision}"',
-        )
-    else:
-        yield _right("revision", f"{seen.revision} ({seen.revision_why})")
-    yield from _wheels(wanted, seen)
 
 
 def _wheels(wanted: Wanted, seen: BusTraffic) -> Iterator[Finding]:
@@ -225,15 +237,16 @@ def ros(machine: Machine) -> Iterator[Finding]:
         yield _wrong(
             "ROS 2",
             "rclpy is not in this Python environment",
-            "use the car's own command (/usr/bin/fsai-vcu, after make install), or source /opt/ros/jazzy/setup.bash"
+            "use the car's own command (/usr/bin/fsai-vcu, after make install), or source /opt/ros/…/setup.bash"
             if machine.car_pc
-            else "make setup in a checkout, or source /opt/ros/jazzy/setup.bash; fsai-vcu drive works without",
+            else "make setup in a checkout, or source /opt/ros/…/setup.bash; fsai-vcu drive works without",
         )
     else:
         distribution = here.distribution or "from the package index"
         yield _right("ROS 2", f"{distribution}, {here.rclpy}")
-        if here.distribution and here.distribution != "jazzy":
-            yield _wrong("ROS 2", f"the distribution is {here.distribution}", "this is made for jazzy")
+        if here.distribution and here.distribution not in DISTRIBUTIONS:
+            words = f"the distribution is {here.distribution}, with which nothing was tried"
+            yield _note("ROS 2", f"{words}; tried are {', '.join(DISTRIBUTIONS)}")
         if here.unused:
             yield _note("ROS 2", f"{here.unused} is there too, and not used (sudo make install takes it from now on)")
         if not here.messages or not here.nodes:

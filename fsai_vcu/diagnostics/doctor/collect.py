@@ -33,8 +33,9 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
+from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.runtime.bus import BusError
-from fsai_vcu.runtime.transport import set_transport
+from fsai_vcu.runtime.transport import DISTRIBUTIONS, set_transport
 
 _NET = Path("/sys/class/net")
 _ARPHRD_CAN = "280"  # linux/if_arp.h
@@ -60,14 +61,18 @@ _TCP_LISTEN, _UDP_UNCONNECTED = "0A", "07"  # net/tcp_states.h
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
-def laptop(proc: Path = Path("/proc")) -> Machine:
-    """A machine on which the car's software is not installed, as far as it matters there."""
+def laptop(bus: str | None = None, seconds: float = 2.0, proc: Path = Path("/proc")) -> Machine:
+    """A machine on which the car's software is not installed, as far as it matters there.
+
+    bus: one to listen to for so long.
+    """
     vcans = [path.name for path in sorted(_NET.glob("*")) if _read(path / "type") == _ARPHRD_CAN]
     up = [name for name in vcans if int(_read(_NET / name / "flags") or "0", 16) & 1]
     return Machine(
         car_pc=False,
         vcan=up[0] if up else "",
         kernel_has_vcan=bool(up) or kernel_has("vcan"),
+        bus=None if bus is None else listen(bus, Codec(list(REVISIONS.values())[-1]), seconds),
         may_be_real_time=os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0,
         domain_id=os.environ.get("ROS_DOMAIN_ID") or "0",
         transport=set_transport(dict(os.environ)),
@@ -232,8 +237,8 @@ def distribution_of(rclpy: str, named: str, folder: Path) -> tuple[str, str]:
     of_rclpy = [path.name for path in there if Path(rclpy).is_relative_to(path)] if rclpy else []
     if of_rclpy:
         return of_rclpy[0], ""
-    ours = folder / "jazzy"
-    return named, str(ours) if rclpy and not named and ours in there else ""
+    ours = [folder / name for name in DISTRIBUTIONS if folder / name in there]
+    return named, str(ours[0]) if rclpy and not named and ours else ""
 
 
 def _implementation(proc: Path) -> str | None:

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--full", action="store_true", help="with --fault: drive to the end of the mission")
     add("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
     add("--realtime", action="store_true", help="as fast as the clock, not as the computer")
-    add("--plot", type=Path, metavar="FILE.png", help="save a plot of track, path driven and speed")
+    add("--plot", type=Path, metavar="FILE.png", help="save a plot of track, driven path and speed")
     add("--animate", type=Path, metavar="FILE.gif|.mp4", help="save a film of the drive, seen from above")
     add("--animate-speed", type=float, default=2.0, metavar="X", help="how many times as fast as it was driven (2)")
     add("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
@@ -122,7 +122,7 @@ def _drive(args: argparse.Namespace, views: Views | None) -> Driven:
         lines.append(f"emergency: {result.report.emergency}")
     lines += [f"gate: {reason} ({count}x)" for reason, count in result.report.reason_counts.items()]
     speed = result.sim_time_s / max(result.wall_time_s, 1e-9)
-    lines.append(f"{result.sim_time_s:.1f} s driven in {result.wall_time_s:.1f} s ({speed:.0f} times real time)")
+    lines.append(f"{result.sim_time_s:.1f} s driven in {result.wall_time_s:.1f} s ({speed:.1f} times real time)")
     return result.passed, lockstep.world.runs[-1], result.as_dict(), lines
 
 
@@ -156,7 +156,7 @@ def _drive_with_fault(args: argparse.Namespace, views: Views | None) -> Driven:
     verdict = scenario.verdict()
     where = f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}"
     judged = "as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW"
-    lines = [f"{where}; again with:\n  {case.replay}\n", *narrator.lines(verdict), judged]
+    lines = [f"{where}; repeat this run:\n  {case.replay}\n", *narrator.lines(verdict), judged]
     return verdict.ok, rig.world.runs[-1], as_record(case, verdict, {}), lines
 
 

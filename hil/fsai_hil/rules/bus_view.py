@@ -624,7 +624,7 @@ class BusView:
             if order.estop:
                 self._alarm("the mission asks for the emergency brake")
             if order.finished:
-                self._stop("the mission is done")
+                self._stop("mission complete: braking to a stop")
 
     def on_mode_shown(self, mode: str) -> None:
         """What the process reports of its mode once it has decided what to send."""

@@ -1,4 +1,4 @@
-"""A picture of a run: the track with the path driven, in colours of speed; below, what was asked and given."""
+"""A picture of a run: the track with the driven path, in colours of speed; below, what was asked and given."""
 
 from __future__ import annotations
 
