@@ -158,7 +158,7 @@ def _show(
 
 
 def _is_terminal() -> bool:
-    """Whether there is a terminal with keys that can be drawn on; textual draws on standard error."""
+    """Return true where there is a terminal with keys that can be drawn on; textual draws on standard error."""
     able = os.environ.get("TERM", "") not in ("", "dumb")
     return able and all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
 

@@ -136,7 +136,7 @@ def _serve_log(server: Server, sources: Sources, decoding: Decoding, args: argpa
 
 @contextmanager
 def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
-    """What the nodes say now; nothing where that is not asked for."""
+    """Give a function that returns what the nodes say now; it returns nothing where the nodes are not asked for."""
     if not args.ros:
         yield lambda: ({}, {})
         return

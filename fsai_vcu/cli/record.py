@@ -150,7 +150,9 @@ def _begun(
     decoder: Decoder | None,
     asked: list[int],
 ) -> tuple[SegmentFolder, Recording] | None:
-    """What writes; None where the end was asked for before anything could be written. Raises UserError."""
+    """Open the folder and its recording; None where the end was asked for before anything could be written. Raises
+    UserError.
+    """
     told = False
     while not asked:
         try:
@@ -197,7 +199,7 @@ def _record(listener: Listener, topics: Any | None, recording: Recording, until_
 
 
 def _take(listener: Listener, topics: Any | None, recording: Recording) -> None:
-    """What was received since."""
+    """Hand everything that was received since the last call to the recording."""
     recording.take(listener.fetch())
     recording.dropped = listener.dropped
     if topics is not None:
@@ -261,7 +263,7 @@ def _time_ns(text: str, option: str) -> int:
 
 
 def _about(args: argparse.Namespace) -> dict[str, Any]:
-    """What belongs to a log without being a frame."""
+    """Return the facts that belong to a log without being a frame."""
     try:
         about: dict[str, Any] = {
             "made_by": f"fsai-vcu {version('fsai-vcu')}",

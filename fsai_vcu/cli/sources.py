@@ -1,4 +1,4 @@
-"""What the diagnostic verbs have in common: logs or interfaces to read, databases, and how lines leave."""
+"""Common parts of the diagnostic verbs: logs or interfaces to read, databases, and the way out for lines."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
 
 
 def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True, signals: bool = False) -> None:
-    """Which part of a log: times, messages, and `signals` for a verb that shows them."""
+    """Add the arguments that choose a part of a log: times, messages, and `signals` for a verb that shows them."""
     parser.add_argument(
         "--from",
         dest="begin",
@@ -80,7 +80,7 @@ def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True
 
 
 def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True) -> None:
-    """What every verb takes that looks at a whole log, or listens for a while."""
+    """Add the arguments of every verb that looks at a whole log, or listens for a while."""
     add_sources_argument(parser)
     add_seconds_argument(parser)
     add_part_arguments(parser, messages=messages)
@@ -216,7 +216,7 @@ class Decoding:
         self._forget()
 
     def chosen(self, frames: Frames) -> Frames:
-        """Those of the messages that have the signals asked for."""
+        """Return the frames of those messages that have the signals asked for."""
         if self._shown is None or not len(frames):
             return frames
         import numpy as np
@@ -238,7 +238,7 @@ class Decoding:
             print(f"fsai-vcu {self._verb}: interface revision {revision.name} ({reason})", file=sys.stderr)
 
     def _forget(self) -> None:
-        """What was made by what was known before."""
+        """Drop the databases, the decoder and the writer that were made by what was known before."""
         for name in ("databases", "decoder", "writer"):
             self.__dict__.pop(name, None)
 
@@ -417,7 +417,7 @@ class Sources:
         return shown.only(rule.passes(shown)) if rule else shown
 
     def _chosen(self, frames: Frames) -> Frames:
-        """Of the part, and with the signals, that are asked for."""
+        """Return the frames of the part, and with the signals, that are asked for."""
         shown = frames if self._part is None else self._part.of(frames)
         return shown if self._decoding is None else self._decoding.chosen(shown)
 
@@ -460,7 +460,7 @@ def check_seconds(args: argparse.Namespace) -> None:
 
 
 def add_server_arguments(parser: argparse.ArgumentParser, port: int) -> None:
-    """What a verb that shows one source on the network can be given."""
+    """Add the arguments of a verb that shows one source on the network."""
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=port, help=f"default: {port}; 0: any that is free")
     add_seconds_argument(parser)
@@ -475,7 +475,7 @@ def check_server(args: argparse.Namespace) -> None:
 
 
 class Progress:
-    """How far it is, rewritten on a terminal every second."""
+    """Display of how far the work is, rewritten on a terminal every second."""
 
     def __init__(self) -> None:
         self._next_s = time.monotonic() + _PROGRESS_S if sys.stderr.isatty() else math.inf
@@ -499,7 +499,9 @@ class Progress:
 
 
 def _first_stamp(path: Path) -> tuple[int, str]:
-    """When a log begins; one that cannot be read comes last, and is reported when it is opened."""
+    """Return when a log begins (ns), and its name; a log that cannot be read comes last, and is reported when it is
+    opened.
+    """
     try:
         with open_log(str(path)) as log:
             return next((frame.t_ns for frame in log.frames()), 1 << 63), path.name
@@ -508,7 +510,7 @@ def _first_stamp(path: Path) -> tuple[int, str]:
 
 
 def _last_stamp(name: str) -> int:
-    """When a log ends; 0 where nothing of it can be read, which is reported when it is opened again."""
+    """Return when a log ends (ns); 0 where nothing of it can be read, which is reported when it is opened again."""
     last_ns = 0
     try:
         with open_log(name) as log:

@@ -162,7 +162,9 @@ class Bridge:
         self._vehicle_news[VEHICLE_FIELD_OF[kind]] = image
 
     def _on_speeds(self, speeds: WheelSpeeds) -> bool:
-        """Whether a frame of 0x525 counts: one that is not believed is treated like one that never came."""
+        """Take in a frame of 0x525 and return whether it counts: a frame that is not believed is treated as if it never
+        came.
+        """
         state = self._state
         belief, doubt = wheel_speeds.on_speeds(self._config, state.belief, speeds)
         supervising = state.supervisor
@@ -339,7 +341,7 @@ class Bridge:
     # ------------------------------------------------------------ the cycle
 
     def cycle(self, now_ns: int) -> AiCommand | None:
-        """What to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
+        """Return the command to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
         config, state = self._config, self.state
         vehicle, supervising = state.vehicle, state.supervisor
         odometry = self._moved(state)
@@ -386,7 +388,7 @@ class Bridge:
         return self._ask(state, now_ns)
 
     def _ask(self, state: BridgeState, now_ns: int) -> AiCommand:
-        """What the gate makes of this cycle's decision."""
+        """Pass this cycle's decision through the gate and return the command to send."""
         fresh = now_ns - state.command_ns < self._config.command_stale_ns
         gated, asked, reasons = gate(
             self._gate_config,
@@ -414,7 +416,7 @@ class Bridge:
         return asked
 
     def on_sent(self, complete: bool, now_ns: int) -> None:
-        """Whether all five frames of the last `cycle` went out."""
+        """Take in whether all five frames of the last `cycle` went out."""
         state = self._state
         supervising, since_ns = state.supervisor, state.last_complete_ns
         gated = sent(state.gate, complete, now_ns)

@@ -15,7 +15,7 @@ from fsai_vcu.interface.values import Value
 
 
 class BridgeState(Value, frozen=True):
-    """What decides what is sent next. Times are of the monotonic clock, None: never.
+    """State that decides what is sent next. Times are of the monotonic clock, None: never.
 
     What the bridge only counts, for its report, is in `tally.Tally`.
     """

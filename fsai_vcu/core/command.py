@@ -1,4 +1,4 @@
-"""What is asked of the car: the command that a controller hands to the gate."""
+"""Command that a controller hands to the gate: what is asked of the car."""
 
 from __future__ import annotations
 

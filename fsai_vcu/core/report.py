@@ -1,4 +1,6 @@
-"""What the bridge knows, as one immutable snapshot: for the nodes, the status line, the log and the judge."""
+"""Report of all that the bridge knows, as one immutable snapshot: for the nodes, the status line, the log and the
+judge.
+"""
 
 from __future__ import annotations
 

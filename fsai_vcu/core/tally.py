@@ -1,4 +1,6 @@
-"""What the bridge counts for its report: nothing that is sent depends on it, so it is no part of the bridge's state."""
+"""Counts that the bridge keeps for its report: nothing that is sent depends on them, so they are no part of the
+bridge's state.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,7 @@ class Tally:
             self.unanswered_ns = None
 
     def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
-        """What should not be on the bus, in words."""
+        """Name what should not be on the bus, in words."""
         # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
         found = [(t_ns, f"an intruder sends on our ids: {words}") for t_ns, words in self.intruders.values()]
         if self.other_revision_frames >= _OTHER_REVISION_FROM:

@@ -123,7 +123,7 @@ class Server(serving.Server):
         await response.close()
 
     def _take(self, client: _Client, text: str) -> str:
-        """What a client asks; why it is not understood, or ''."""
+        """Take in what a client asks and return why it is not understood, or ''."""
         try:
             words = json.loads(text)
             if words["op"] == "subscribe":

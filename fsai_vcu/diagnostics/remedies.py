@@ -1,7 +1,7 @@
-"""What to do about whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
+"""Remedies for whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
 
-Where the AI computer's frames are not this software's (`theirs`), a remedy speaks of your AI computer: its commands,
-services and logs are not ours to name.
+Where the AI computer's frames are not this software's (`theirs`), a remedy speaks of your AI computer: this software
+cannot name its commands, services and logs.
 """
 
 from __future__ import annotations
@@ -232,5 +232,5 @@ _THEIRS: Final[Mapping[str, str]] = {
 
 
 def remedy_of(slug: str, *, theirs: bool = False) -> str:
-    """What to do about a cause or a kind of finding; empty where nothing is to be done."""
+    """Return what to do about a cause or a kind of finding; empty where nothing is to be done."""
     return (theirs and _THEIRS.get(slug)) or REMEDIES.get(slug, "")

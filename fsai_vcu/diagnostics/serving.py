@@ -41,7 +41,7 @@ class Server:
     """Serves in a thread from `with` on what `answer` gives to a GET that is allowed."""
 
     origins: tuple[str, ...] = ()
-    """Where else a page may be from than from this server. '*' as its port: from any."""
+    """Origins from which a page may be besides this server. '*' as its port: from any."""
 
     def __init__(self, host: str, port: int) -> None:
         """Raises OSError."""
@@ -67,7 +67,7 @@ class Server:
 
     @property
     def beyond(self) -> str:
-        """What is to be said where it listens to more than this machine; '' where it does not."""
+        """Warning where the server listens to more than this machine; '' where it does not."""
         if ipaddress.ip_address(self.server_address[0]).is_loopback:
             return ""
         return f"everybody who reaches {self.host} of this machine over a network can watch"
@@ -121,7 +121,7 @@ class Server:
         return await self.answer(request, connection)
 
     def is_named(self, name: str, own: str) -> bool:
-        """Whether `name` means this server, whose address is `own`: no other site can be called so."""
+        """Return true where `name` means this server, whose address is `own`: no other site can be called so."""
         try:
             address = ipaddress.ip_address(name)
         except ValueError:
@@ -130,7 +130,7 @@ class Server:
         return _plain(address) == here or (address.is_loopback and here.is_loopback)
 
     def is_origin(self, origin: str, host: str) -> bool:
-        """Whether a page from there may ask."""
+        """Return true where a page from there may ask."""
         if origin == f"http://{host}" or origin in self.origins:
             return True
         try:
@@ -147,7 +147,7 @@ class Server:
         raise NotImplementedError
 
     def end(self) -> None:
-        """What still waits for something is to stop."""
+        """Stop what still waits for something."""
 
 
 class Connection(web.RequestHandler):

@@ -38,7 +38,7 @@ _REMEMBERED: Final = 64  # payloads, and rows of values, of each message
 
 
 class Decoded(Value, frozen=True):
-    """What a frame reports. `image` is None where it reports nothing that may be believed.
+    """Content that a frame reports. `image` is None where it reports nothing that may be believed.
 
     `problems` are sentences for people. `handshake` is the bit of a 0x520, set even where its image was not believed.
     """
@@ -96,11 +96,11 @@ class Codec:
         self.unknown = "" if dbc_paths is None else _lacking_line(files, self._lacking, codec_of(revision)._lacking)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Codec:
-        """What a codec says of a frame never changes: copies of a simulation share it."""
+        """Return the codec itself: what it says of a frame never changes, and copies of a simulation share it."""
         return self
 
     def knows(self, can_id: int) -> bool:
-        """Whether `decode` makes an image of this identifier."""
+        """Return true where `decode` makes an image of this identifier."""
         return can_id in self._by_id
 
     def encode(self, image: Image) -> Frame:
@@ -121,12 +121,12 @@ class Codec:
         return cast("tuple[Frame, Frame, Frame, Frame, Frame]", tuple(frames))
 
     def mask(self, message: type[Image], *names: str) -> int:
-        """Where the signals of these fields are in a payload as a little-endian number; 0 where there are none."""
+        """Return where the signals of these fields are in a payload, as a little-endian number; 0 where there are none."""
         slots = self._layouts[message].slots if message in self._layouts else []
         return sum(slot.ones << slot.signal.start for slot in slots if slot.field.name in names)
 
     def decode(self, frame: Frame) -> Decoded:
-        """What `frame` says. Never raises: what cannot be believed is in `problems`."""
+        """Return what `frame` says. Never raises: what cannot be believed is in `problems`."""
         if frame.error:
             return _NOTHING
         if frame.remote or frame.extended:
@@ -202,7 +202,7 @@ class _Layout:
         self._written: dict[tuple[Any, ...], bytes] = {}
 
     def values(self, data: bytes) -> _Said:
-        """What a payload says."""
+        """Return what a payload says."""
         said = self._read.get(data)
         if said is not None:
             return said

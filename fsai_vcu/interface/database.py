@@ -160,7 +160,7 @@ def _check_texts(path: Path, *texts: object) -> None:
 
 
 def is_modest(text: str) -> bool:
-    """Whether the parser's work on a DBC file is bounded: in others small texts can name millions of values."""
+    """Return true where the parser's work on a DBC file is bounded: in others small texts can name millions of values."""
     if len(text) > _MODEST_CHARACTERS or _IMMODEST.search(text):
         return False
     return sum(1 for _ in _MULTIPLEXED.finditer(text)) <= 500

@@ -1,4 +1,4 @@
-"""How a message is declared: a class whose fields name the signals that fill them.
+"""Declaration of a message: a class whose fields name the signals that fill them.
 
     class AiSteer(Message, frozen=True):
         dbc_name, required = "AI2VCU_Steer", True
@@ -27,7 +27,7 @@ NOT_READ: Final = "these values are not read"
 
 
 class Refuse(Enum):
-    """What an unknown value of a choice does when no substitute may stand for it."""
+    """Effect of an unknown value of a choice when no substitute may stand for it."""
 
     FRAME = auto()  # the whole frame is not believed
 

@@ -332,7 +332,7 @@ class VcuSystemStatus(Message, frozen=True):
 
 
 class VehicleState(Value, frozen=True):
-    """What the car has reported so far. None means never received; each image carries the time of its frame.
+    """State that the car has reported so far. None means never received; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
     (an AS_STATE outside the table leaves `status` as it was, to grow stale); `status_known` tells of such a frame.
@@ -464,7 +464,7 @@ class LogDynamics2(Message, frozen=True):
 
 
 class GpsImu(Value, frozen=True):
-    """What the PCAN-GPS has reported so far, of what is read of it. None: never received."""
+    """State that the PCAN-GPS has reported so far, of what is read of it. None: never received."""
 
     acceleration: Acceleration | None = None
     rotation_a: RotationA | None = None

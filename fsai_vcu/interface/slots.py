@@ -36,7 +36,7 @@ def _is_number(value: Any) -> bool:
 
 
 class _Table(dict[Any, Any]):
-    """What each of a few things becomes; any other is for `otherwise`."""
+    """Table of what each of a few things becomes; any other is for `otherwise`."""
 
     def __init__(self, known: Mapping[Any, Any], otherwise: Callable[[Any], Any]) -> None:
         super().__init__(known)

@@ -1,4 +1,4 @@
-"""Which signal carries which wheel: cars have been met whose wheel sensors are wired to the wrong inputs."""
+"""Mapping of signals to wheels: cars have been met whose wheel sensors are wired to the wrong inputs."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ class CanBus:
                 return None
 
     def fileno(self) -> int:
-        """What to wait on for frames; -1 where the interface has nothing of the kind."""
+        """Return what to wait on for frames; -1 where the interface has nothing of the kind."""
         try:
             return self._bus.fileno()
         except NotImplementedError:

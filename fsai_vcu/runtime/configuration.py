@@ -78,7 +78,7 @@ class Key(Value, frozen=True):
 
     @property
     def parameter(self) -> str:
-        """Of a speed it has no unit in its name, of the laps no mission."""
+        """Name of the ROS parameter: a speed has no unit in it, the laps no mission."""
         return self.name.removeprefix("trackdrive_").removesuffix("_mps")
 
     def problem(self, value: object) -> str | None:
@@ -196,7 +196,9 @@ _DISCOVERY = {"localhost": LOOPBACK, "subnet": NETWORKS}
 
 
 class Configuration(Value, frozen=True):
-    """What the file says, with the defaults for what it leaves out. `limits`: None where no file is named."""
+    """Content of the configuration file, with the defaults for what it leaves out. `limits`: None where no file is
+    named.
+    """
 
     path: Path | None
     limits: OperationalLimits | None = None
@@ -269,7 +271,7 @@ class Configuration(Value, frozen=True):
         return found
 
     def environment(self) -> dict[str, str]:
-        """What ROS 2 reads from a process's environment."""
+        """Return what ROS 2 reads from a process's environment."""
         found = {"ROS_DOMAIN_ID": self.text("ros", "domain_id"), **_DISCOVERY[self.text("ros", "discovery")]}
         if keystore := self.text("ros", "keystore"):
             found |= {
@@ -355,7 +357,8 @@ def parse_configuration(text: str, path: Path) -> Configuration:
 
 
 def usual_environment(environ: Mapping[str, str] | None = None) -> dict[str, str]:
-    """What a command of the operator's needs besides `environ` to reach the car's nodes: nothing without the file.
+    """Return what a command of the operator's needs besides `environ` to reach the car's nodes: nothing without the
+    file.
 
     What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of. Raises
     ConfigurationError where this user may not read it: the car's nodes would be looked for in the wrong place.

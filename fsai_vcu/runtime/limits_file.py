@@ -20,7 +20,7 @@ def read_limits(path: Path | str) -> OperationalLimits:
 
 
 def read_limits_text(path: Path | str) -> str:
-    """What stands in the file. Raises LimitsError."""
+    """Return the text of the file. Raises LimitsError."""
     try:
         return read_named(path, SETTINGS_BYTES)
     except UnicodeDecodeError as error:

@@ -99,7 +99,7 @@ def holder_pid(spec: str) -> int | None:
 
 
 def _holder(spec: str, wait_s: float = _ASK_S) -> Holder | None:
-    """Who has the lock's name. None: nobody, or one who has not begun to answer within `wait_s`."""
+    """Return the holder of the lock's name. None: nobody, or a process that has not begun to answer within `wait_s`."""
     until_s = time.monotonic() + wait_s
     while True:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

@@ -114,7 +114,7 @@ class BridgeLoop:
             self._do(turns.lost(str(lost), time.monotonic_ns()))
 
     def _read_edge(self) -> list[Message] | None:
-        """What the edge has sent; None once it is gone."""
+        """Return what the edge has sent; None once it is gone."""
         if self._link.closed:
             return None
         messages = self._link.receive()

@@ -71,7 +71,7 @@ class LoopHandle:
 
     @property
     def running(self) -> bool:
-        """Whether the loop runs, as far as is known."""
+        """Return true while the loop runs, as far as is known."""
         self._take()
         return self._active and not self._link.closed
 
@@ -198,7 +198,7 @@ class LoopHandle:
 
     @property
     def silent(self) -> bool:
-        """Whether the loop should report and does not. An edge that was held up itself does not know it yet."""
+        """Return true while the loop should report and does not. An edge that was held up itself does not know it yet."""
         reported_ns = self.loop_report().bridge.t_ns
         return self._active and time.monotonic_ns() - max(reported_ns, self._reads_since_ns) >= LOOP_SILENT_NS
 
@@ -209,7 +209,7 @@ class LoopHandle:
         return self._newest
 
     def link_trouble(self) -> dict[str, object]:
-        """What went wrong on the link, for people: counts by the end that has them, and the newest words."""
+        """Return what went wrong on the link, for people: counts by the end that has them, and the newest words."""
         values: dict[str, object] = {}
         ends = ("node", self._link.trouble), ("loop", self.loop_report().link)
         for end, trouble in ends:
@@ -240,7 +240,7 @@ class LoopHandle:
             self.failure = self.failure or self._how_it_ended()
 
     def _how_it_ended(self) -> str:
-        """Of a process that ended without a word."""
+        """Say how a process ended that said nothing itself."""
         if self._process is None:
             return "its end of the link is closed"
         with contextlib.suppress(subprocess.TimeoutExpired):

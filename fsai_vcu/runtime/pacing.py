@@ -1,4 +1,5 @@
-"""When to send: an answer to each 0x520, never two sends too close, and a clock of one's own when the car is silent.
+"""Pacing of the sends: an answer to each 0x520, never two sends too close, and a clock of its own when the car is
+silent.
 
 Pure; times are integer monotonic nanoseconds.
 """

@@ -1,4 +1,4 @@
-"""How the project's ROS 2 processes reach each other: by UDP on the loopback, never by shared memory.
+"""Transport between the project's ROS 2 processes: by UDP on the loopback, never by shared memory.
 
 Fast DDS shares memory between processes unless configured otherwise. A program that joins, hangs or is killed then
 holds up the others inside `publish`, and what it leaves locked in /dev/shm outlives it. UDP has neither. Each process

@@ -102,11 +102,11 @@ class Turns:
 
     @property
     def has_bus(self) -> bool:
-        """Whether the bus is open, as far as the loop knows."""
+        """Return true where the bus is open, as far as the loop knows."""
         return self._open_ns is None
 
     def due_ns(self) -> int:
-        """When `act` next has something to do, if nothing comes: a cycle, or a try to open a lost bus."""
+        """Return when (ns) `act` next has something to do, if nothing comes: a cycle, or a try to open a lost bus."""
         return self._pacing.due_ns() if self._open_ns is None else self._open_ns
 
     # ------------------------------------------------------------ a turn
@@ -130,9 +130,9 @@ class Turns:
             self._bridge.backlog(now_ns - frames[0].t_ns, now_ns)
 
     def on_edge(self, messages: Iterable[Message] | None, now_ns: int) -> list[Action]:
-        """What the edge has sent, read by `now_ns`; None once it is gone. Of several commands the newest counts.
+        """Take in what the edge has sent, read by `now_ns`; None once it is gone. Of several commands the newest counts.
 
-        A silent edge's commands get old, and so do those of one that is gone: the table of reactions stops the car.
+        A silent edge's commands get old, and so do those of an edge that is gone: the table of reactions stops the car.
         When that is over there is nothing left to do.
         """
         actions: list[Action] = []
@@ -159,7 +159,9 @@ class Turns:
         return actions
 
     def answer(self, ask: Ask, now_ns: int) -> tuple[Action, ...]:
-        """What is not answered in time is not done later behind the asker's back, unless it is better late."""
+        """Answer the edge: what is not answered in time is not done later behind the asker's back, unless it is better
+        late.
+        """
         if ask.what == "deactivate":  # answered after the end
             self.stop_number = ask.number
             self._begin_stop(now_ns)
@@ -179,7 +181,7 @@ class Turns:
         return (Answer(ask.number, accepted, shortened(message)),)
 
     def act(self, now_ns: int) -> tuple[Action, ...]:
-        """What is due at `now_ns`: the end, a cycle, or a try to open a lost bus."""
+        """Do what is due at `now_ns`: the end, a cycle, or a try to open a lost bus."""
         has_bus, due_ns = self._open_ns is None, self.due_ns()
         if self._stopping and not has_bus:  # nobody is left to answer
             return Note(logging.INFO, "stopped while the bus was gone"), Do.REPORT, Do.END
@@ -254,7 +256,7 @@ class Turns:
         return () if command is None else self._codec.encode_command(command)
 
     def _judge(self, due_ns: int, now_ns: int) -> None:
-        """Whether what was due is so late that the bridge must know; it is told once."""
+        """Judge whether what was due is so late that the bridge must know; it is told once."""
         late_ns = now_ns - due_ns
         if late_ns >= DEADLINE_MISS_NS and not self._missed:
             self._missed = True
@@ -262,7 +264,7 @@ class Turns:
             self._bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
 
     def _drives(self, now_ns: int) -> bool:
-        """Whether the car is in AS_DRIVING, and is received."""
+        """Return true while the car is in AS_DRIVING, and is received."""
         return self._bridge.run.as_state is AsState.AS_DRIVING and not self._bridge.report(now_ns).vcu_lost
 
     def _begin_stop(self, now_ns: int) -> None:

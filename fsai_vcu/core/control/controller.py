@@ -286,8 +286,8 @@ class Controller:
         )
 
     def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
-        """Where (m) the rear axle will be and where it will move to (rad) when the steering answers, in the vehicle
-        frame of `there`, and how far (m) it moves from now until then.
+        """Predict where (m) the rear axle will be and where it will move to (rad) when the steering answers, in the
+        vehicle frame of `there`, and how far (m) it moves from now until then.
 
         The steering has been told what the car will do until then. Tyres slip, so the axle moves further outward than
         the car points.

@@ -65,10 +65,10 @@ def line_of(path_m: Floats) -> Line | None:
 def steering_rate(
     line: Line, station_m: float, right_m: float, course_rad: float, curvature_1pm: float, speed_mps: float
 ) -> float:
-    """How fast to change the curvature driven with, 1/(m s).
+    """Return the rate, 1/(m s), at which the curvature that the car drives with must change.
 
     The car is at a station, `right_m` beside the line to its right (negative: left of it), moves to `course_rad` (in
-    the line's frame) with `curvature_1pm` and `speed_mps`. Of all changes within the horizon the ones are taken that
+    the line's frame) with `curvature_1pm` and `speed_mps`. Among all changes within the horizon it takes those that
     weigh deviation and effort by their least squares: so the steering begins before a bend by the time it takes.
     """
     speed = max(round(2.0 * speed_mps) / 2.0, SLOWEST_MPS)

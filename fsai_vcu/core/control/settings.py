@@ -1,4 +1,4 @@
-"""What can be set about control. SI units."""
+"""Settings of control. SI units."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ ORIGIN = Motion()
 
 
 class DemoPhase(Enum):
-    """Where the demo is, in their order."""
+    """Phases of the demo, in their order."""
 
     SWEEP = "sweep"
     ACCELERATE = "accelerate"

@@ -27,7 +27,7 @@ REST_BRAKE = 0.3
 
 
 class InspectionPhase(Enum):
-    """Where an inspection is."""
+    """Phase of an inspection."""
 
     SWEEP = "sweep"
     SPIN_UP = "spin up"

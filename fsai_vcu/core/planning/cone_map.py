@@ -84,7 +84,9 @@ class ConeMap:
 
     @property
     def _established(self) -> Bools:
-        """Which cones tell where the car is: one that begins to be lost puts new ones where it thinks to see them."""
+        """Select the cones that tell where the car is: a car that begins to be lost puts new ones where it thinks to
+        see them.
+        """
         return self._believed & (self._cones["first_m"] < self.here.distance_m - RECENT_M)
 
     def take(self) -> Floats:
@@ -155,7 +157,7 @@ class ConeMap:
         return True
 
     def _of_this_part(self, xy_m: Floats, here: Motion) -> Bools:
-        """Which places (map frame) are beside the part of the lap that the car is in.
+        """Select the places (map frame) beside the part of the lap that the car is in.
 
         Another part may pass nearby; how the two lie to each other is known only within what odometry drifts between.
         """
@@ -313,7 +315,7 @@ def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats
 
 
 def fit_of(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> float:
-    """How well the cones seen from `here` agree with the known ones: 1 all and exactly, 0 none (or none seen)."""
+    """Return how well the cones seen from `here` agree with the known ones: 1 all and exactly, 0 none (or none seen)."""
     if not len(seen_xy_m) or not len(fixed_xy_m):
         return 0.0
     gap = gaps(to_odometry(here, seen_xy_m), fixed_xy_m).min(axis=1)

@@ -165,7 +165,7 @@ class ConeMemory:
         return Cones(here, color.astype(np.int64), side, index)
 
     def sure(self, index: Ints) -> Bools:
-        """Which of these cones the looks at their place find mostly: two false ones may have stood at one place."""
+        """Select those of these cones that most looks at their place find: two false ones may have stood at one place."""
         hits, misses = self._cones["hits"][index], self._cones["misses"][index]
         return np.asarray((hits > self._settings.hits_to_believe) & (hits > 2.0 * misses))
 
@@ -199,7 +199,7 @@ def in_view(reach: Floats, angle: Floats, settings: PlannerSettings) -> Bools:
 
 
 class Rows(Value, frozen=True):
-    """Which of N cones stand near enough to each other to be one border's, and which in a row. The last is no cone.
+    """Neighbours among N cones: near enough to each other to be one border's, and in a row. The last is no cone.
 
     whom: (N + 1, K) each cone's neighbours, N where there is none; beyond: (N + 1, K, K) whether a neighbour's own
     neighbour stands in line behind it; between: (N + 1, K, K) whether the cone itself stands in line between two.

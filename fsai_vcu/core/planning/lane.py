@@ -70,11 +70,12 @@ class Lane(Value, frozen=True):
 
 
 class Known(Value, frozen=True):
-    """What is known before a look.
+    """Facts that are known before a look.
 
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
     stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
-    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been."""
+    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been.
+    """
 
     curvature_1pm: float
     half_width_m: float
@@ -165,13 +166,14 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
 
 
 def _first_gap_m(along: Floats, settings: PlannerSettings) -> float:
-    """How far ahead the first cones may be, of borders with cones at these places along the car's way, from BACKWARD_M
-    behind the car on."""
+    """Return how far ahead (m) the first cones may be, of borders with cones at these places along the car's way, from
+    BACKWARD_M behind the car on.
+    """
     return settings.border_gap_max_m if np.count_nonzero(along <= 0.0) else max(FIRST_GAP_M, settings.border_gap_max_m)
 
 
 def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
-    """How far ahead of the car a border's cones, at these places along it, go on without too long a gap.
+    """Return how far ahead of the car (m) a border's cones, at these places along it, go on without too long a gap.
 
     `gap_m`: to the first of them.
     """
@@ -200,7 +202,7 @@ def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
 
 
 class _Begin(Value, frozen=True):
-    """Where the search begins."""
+    """Place where the search begins."""
 
     counted: Bools  # (N,) the cones beside the way up to there
     x_m: float = 0.0
@@ -366,7 +368,7 @@ def _search(
 
 
 def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
-    """How much more than the best chain the best one costs that is elsewhere after so many arcs.
+    """Return how much more than the best chain the best of those costs that are elsewhere after so many arcs.
 
     poses: at the chains' ends, the best first.
     """
@@ -539,7 +541,7 @@ def _centred(
 
 
 def _median(values: list[float]) -> float:
-    """Of at least one value. (A tenth of the time of numpy's for a few dozen.)"""
+    """Return the median of at least one value. (A tenth of the time of numpy's for a few dozen.)"""
     ordered, middle = sorted(values), len(values) // 2
     return ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2.0
 

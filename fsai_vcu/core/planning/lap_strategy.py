@@ -131,7 +131,7 @@ class LapStrategy:
         return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note)
 
     def _kept_path(self, motion: Motion) -> Floats:
-        """What is left of the last path, if it is not too old."""
+        """Return what is left of the last path, if it is not too old."""
         if not len(self._kept) or motion.t_ns - self._kept_at.t_ns > self._settings.keep_path_ns:
             return NO_PATH
         path = to_vehicle(motion, to_odometry(self._kept_at, self._kept))

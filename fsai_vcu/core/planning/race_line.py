@@ -47,7 +47,7 @@ class RaceLine(Value, frozen=True, eq=False):
     cones_xy_m: Floats  # between which it was laid
 
     def news(self, xy_m: Floats) -> Bools:
-        """Which of these cones (map frame) stand where the line was laid without them."""
+        """Select those of these cones (map frame) that stand where the line was laid without them."""
         dx, dy = xy_m[:, None, 0] - self.cones_xy_m[:, 0], xy_m[:, None, 1] - self.cones_xy_m[:, 1]
         return np.asarray((dx * dx + dy * dy).min(axis=1) > NEWS_M**2)
 
@@ -104,7 +104,7 @@ class LineSearch:
 
 
 def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:
-    """Whether the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
+    """Return true where the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
     cos, sin = headings_along(path_m)
     dx = cones_xy_m[:, None, 0] - path_m[:, 0]
     dy = cones_xy_m[:, None, 1] - path_m[:, 1]

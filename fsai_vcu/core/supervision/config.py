@@ -13,7 +13,7 @@ from fsai_vcu.interface.values import Value
 
 
 class BridgeConfig(Value, frozen=True):
-    """How the AI side of one car behaves. A timer has run out *at* its value: T - 1 ns is still in time."""
+    """Behaviour of the AI side of one car. A timer has run out *at* its value: T - 1 ns is still in time."""
 
     # Who may do what
     autonomous_at_power_up: bool = False  # enter autonomous by itself: no link to the car is allowed in staging

@@ -90,7 +90,7 @@ def gate_config(
 
 
 class GateState(Value, frozen=True):
-    """What the gate remembers between cycles."""
+    """Memory of the gate between cycles."""
 
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
     brake: float = 0.0  # fraction last asked for, for when it must be kept
@@ -157,7 +157,7 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
 
 
 class Cycle(Value, frozen=True):
-    """What every step looks at. `command` is None unless it may be turned into values."""
+    """Facts of one cycle that every step looks at. `command` is None unless it may be turned into values."""
 
     config: GateConfig
     state: GateState
@@ -195,7 +195,7 @@ def gate(
     now_ns: int,
     speed_mps: float = 0.0,
 ) -> tuple[GateState, AiCommand, frozenset[Reason]]:
-    """What goes on the wire in this cycle. `speed_mps` is for the logging field only."""
+    """Turn decision and command into what goes on the wire in this cycle. `speed_mps` is for the logging field only."""
     state = sent(state, False, now_ns)  # the cycle before, if it was not reported sent, counts as broken
     if not _obeys(config, decision, command, now_ns):
         command = None
@@ -222,7 +222,7 @@ def gate(
 
 
 def _obeys(config: GateConfig, decision: Decision, command: VehicleCommand | None, now_ns: int) -> bool:
-    """Whether there is a command of this run that may be turned into values."""
+    """Return true where there is a command of this run that may be turned into values."""
     return (
         command is not None
         and command.run_id == decision.run_id
@@ -252,7 +252,7 @@ def _log(state: GateState, decision: Decision, command: VehicleCommand | None) -
 
 
 def _wish(cycle: Cycle) -> Request:
-    """What decision and command ask for. A brake wins over the throttle."""
+    """Return what decision and command ask for. A brake wins over the throttle."""
     config, decision, command = cycle.config, cycle.decision, cycle.command
     brake = _brake(cycle)
     throttle, rpm = 0.0, 0
@@ -337,7 +337,7 @@ def _permission(cycle: Cycle, request: Request) -> Request:
 
 
 def _motors_allowed(cycle: Cycle, request: Request) -> bool:
-    """Whether the motors may be asked for torque, be it to drive or to brake."""
+    """Return true where the motors may be asked for torque, to drive or to brake."""
     status = cycle.vehicle.status
     fresh = status is not None and cycle.now_ns - status.t_rx_ns < cycle.config.bridge.vcu_stale_ns
     return (
@@ -350,7 +350,7 @@ def _motors_allowed(cycle: Cycle, request: Request) -> bool:
 
 
 def _actuators(cycle: Cycle, request: Request) -> Request:
-    """Which actuator brakes."""
+    """Choose the actuator that brakes."""
     if request.brake <= 0.0:
         return request
     if cycle.config.bridge.motor_brakes:

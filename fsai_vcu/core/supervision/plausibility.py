@@ -89,7 +89,7 @@ class WheelCheck(Value, frozen=True):
 
 
 def wheel_factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:
-    """How fast each wheel rolls on its own circle, against the rear axle's centre (FL, FR, RL, RR)."""
+    """Return how fast each wheel rolls on its own circle, relative to the rear axle's centre (FL, FR, RL, RR)."""
     curvature = math.tan(math.radians(max(-45.0, min(45.0, steer_deg)))) / car.wheelbase_m
     left, right = 1.0 - curvature * 0.5 * car.track_m, 1.0 + curvature * 0.5 * car.track_m
     reach = curvature * car.wheelbase_m

@@ -15,7 +15,7 @@ from fsai_vcu.interface.values import Value
 
 
 class Circumstances(Value, frozen=True):
-    """What the bridge itself knows besides the supervisor's state."""
+    """Circumstances that the bridge itself knows besides the supervisor's state."""
 
     phase: Phase
     command: AiCommand = AiCommand()  # the last one sent

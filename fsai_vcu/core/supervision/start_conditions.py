@@ -39,7 +39,7 @@ DRIVING: Final = frozenset((AsState.AS_DRIVING,))
 
 
 class Moment(Value, frozen=True):
-    """What the bus shows at one moment; what it does not show counts as met.
+    """Picture that the bus shows at one moment; what it does not show counts as met.
 
     `command`: what the AI computer says, None where nothing of it was heard. `silent_ns`: the age of 0x520, where that
     counts as lost. `waited_ns`: for how long AS_READY has lasted, None where its begin was not seen. `history`: by slug
@@ -145,7 +145,7 @@ def fault_names(status: VcuStatus) -> tuple[str, ...]:
 
 
 def _more(moment: Moment, source: str) -> str:
-    """What 0x520 names beside FAULT_STATUS."""
+    """Name the faults of 0x520 besides FAULT_STATUS."""
     names = fault_names(cast(VcuStatus, moment.vehicle.status)) if source == "status.fault" else ()
     return f": {', '.join(names)}" if names else ""
 
@@ -295,7 +295,7 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
     ),
     Condition("go_off", "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING", DRIVING, ("status.go_signal",)),
 )
-"""What must be put right first stands in front."""
+"""Conditions of a drive; the one to put right first stands in front."""
 
 WORDS: Final[Mapping[str, str]] = {
     **{condition.slug: condition.words for condition in CONDITIONS},
@@ -338,7 +338,9 @@ def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str,
 
 
 def why_not_driving(moment: Moment) -> Iterator[Obstacle]:
-    """What stands between now and driving, as far as the bus shows it, what must be put right first in front."""
+    """Yield the obstacles between now and driving, as far as the bus shows them; the one to put right first comes
+    first.
+    """
     status = moment.vehicle.status
     if not moment.vehicle.status_known:
         yield Obstacle("as_state_unknown", Reason.AS_STATE_UNKNOWN.words)

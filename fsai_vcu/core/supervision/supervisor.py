@@ -40,13 +40,13 @@ from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 from fsai_vcu.interface.values import WORD_LENGTH, Value, shortened
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
-"""Where a mode may be chosen and the AMI is followed."""
+"""AS states in which a mode may be chosen and the AMI is followed."""
 
 ROLES = ("planner", "controller")
 
 
 class Mode(Enum):
-    """Who drives: nobody, or the planner through the gate."""
+    """Driver of the car: nobody, or the planner through the gate."""
 
     MANUAL = "manual"
     AUTONOMOUS = "autonomous"
@@ -56,7 +56,7 @@ MODES = tuple(mode.value for mode in Mode)
 
 
 class Sequence(IntEnum):
-    """How much of AS_OFF -> AS_READY -> AS_DRIVING this process has itself seen, without a break."""
+    """Part of AS_OFF -> AS_READY -> AS_DRIVING that this process has itself seen, without a break."""
 
     NONE = auto()
     OFF_SEEN = auto()
@@ -80,7 +80,7 @@ NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
 
 
 class Phase(Enum):
-    """Where a run stands, seen from the AI side. Each has one row in `OUTPUT`."""
+    """Phase of a run, seen from the AI side. Each has one row in `OUTPUT`."""
 
     IDLE = "no AS state yet, AS_INIT or AS_OFF"
     READY = "AS_READY"
@@ -96,7 +96,7 @@ class Phase(Enum):
 
 
 class Steer(Enum):
-    """Where the steering request comes from."""
+    """Source of the steering request."""
 
     ZERO = auto()
     HELD = auto()
@@ -105,7 +105,7 @@ class Steer(Enum):
 
 
 class Brake(Enum):
-    """Where the brake request comes from."""
+    """Source of the brake request."""
 
     ZERO = auto()
     HOLDING = auto()
@@ -145,7 +145,7 @@ OUTPUT: Mapping[Phase, Output] = MappingProxyType(
 
 
 class Consequence(IntEnum):
-    """What follows from a fault, the graver the higher."""
+    """Consequence of a fault, the graver the higher."""
 
     REPORT = auto()
     HOLD = auto()  # torque 0 while it lasts
@@ -170,10 +170,10 @@ CHANGES = (
     Reason.STATE_FAULT,
     Reason.AMI_CHANGED,
 )
-"""What 0x520 must not change in AS_DRIVING though FAULT_STATUS stays 0 (see `changes`)."""
+"""Reasons that name a change of 0x520 that AS_DRIVING must not see though FAULT_STATUS stays 0 (see `changes`)."""
 
 UNPREPARED = (Reason.NOT_SEEN, Reason.SEQUENCE_SHORT, Reason.NO_MISSION, Reason.NOT_CONFIRMED)
-"""What AS_DRIVING may lack of a drive that was begun in order (see `_unprepared`)."""
+"""Reasons that name what AS_DRIVING may lack of a drive that was begun in order (see `_unprepared`)."""
 
 _STOP_AT_ONCE = (Step(None, Consequence.STOP),)
 _FEEDBACK = (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP))
@@ -294,7 +294,7 @@ class SupervisorState(Value, frozen=True):
 
 
 class Inputs(Value, frozen=True):
-    """What a cycle sees besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
+    """Inputs of a cycle besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
 
     now_ns: int
     command: VehicleCommand | None = None
@@ -308,7 +308,7 @@ class Inputs(Value, frozen=True):
 
 
 class Decision(Value, frozen=True):
-    """What this cycle is to say; the gate turns it into values. The default is safe."""
+    """Decision on what this cycle is to say; the gate turns it into values. The default is safe."""
 
     phase: Phase = Phase.IDLE
     mission_status: MissionStatus = MissionStatus.NOT_SELECTED
@@ -332,7 +332,7 @@ def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> Supervi
 
 
 def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
-    """Whether the car has been silent for a power cycle's time since it was last believed."""
+    """Return true where the car has been silent for a power cycle's time since it was last believed."""
     return state.was_silent or (state.received_ns is not None and now_ns - state.received_ns >= config.power_cycle_ns)
 
 
@@ -592,7 +592,7 @@ def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs
 
 
 def _command_age_words(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> str:
-    """Which it is that makes the command stale."""
+    """Say in words what makes the command stale."""
     command = inputs.command
     if command is None or command.run_id != state.run_id:
         return f"no command has come in run {state.run_id}"
@@ -603,7 +603,7 @@ def _command_age_words(config: BridgeConfig, state: SupervisorState, inputs: Inp
 
 
 def _unprepared(config: BridgeConfig, state: SupervisorState) -> tuple[Reason, str] | None:
-    """What this AS_DRIVING lacks of a drive that was begun in order (safety rule 2)."""
+    """Return what this AS_DRIVING lacks of a drive that was begun in order (safety rule 2); None: nothing."""
     if state.sequence is not Sequence.COMPLETE:
         return Reason.NOT_SEEN, ""
     if state.ready_waited_ns < config.ready_wait_ns and not config.short_sequence_allowed:
@@ -622,7 +622,9 @@ def _unprepared(config: BridgeConfig, state: SupervisorState) -> tuple[Reason, s
 def _stop_ineffective(
     config: BridgeConfig, state: SupervisorState, stop: Latch, now_ns: int
 ) -> tuple[SupervisorState, bool]:
-    """Whether a service-brake stop does not work; moves the window over which a deceleration must show."""
+    """Return the state, and whether a service-brake stop does not work; move the window over which a deceleration must
+    show.
+    """
     fresh = wheels_fresh(config, state, now_ns)
     if fresh and state.fastest_rpm < config.standstill_rpm:
         return state, False
@@ -645,7 +647,7 @@ _AT_ONCE_NS = 0
 def _ages(
     config: BridgeConfig, state: SupervisorState, inputs: Inputs, command: VehicleCommand | None
 ) -> tuple[SupervisorState, list[tuple[Reason, int, str]]]:
-    """What is wrong in AS_DRIVING, for how long, and the details. `command` is a valid one."""
+    """List what is wrong in AS_DRIVING, for how long, and the details. `command` is a valid one."""
     now_ns = inputs.now_ns
     found: list[tuple[Reason, int, str]] = []
     assert state.status_ns is not None and state.driving_since_ns is not None  # AS_DRIVING was seen
@@ -753,7 +755,7 @@ def _phase(config: BridgeConfig, state: SupervisorState, hold: bool, now_ns: int
 
 
 def acknowledged(state: SupervisorState) -> bool:
-    """Whether SELECTED may be sent in this AS state.
+    """Return true where SELECTED may be sent in this AS state.
 
     With an emergency latched it is not sent in AS_OFF: the car would come as far as AS_DRIVING only to brake.
     """
@@ -815,7 +817,9 @@ def begin_end(config: BridgeConfig, state: SupervisorState, now_ns: int) -> Supe
 
 
 def ending(decision: Decision) -> Decision:
-    """What the last cycles before the silence say: with NEUTRAL there are zeros, and no mission is acknowledged."""
+    """Return the decision of the last cycles before the silence: with NEUTRAL there are zeros, and no mission is
+    acknowledged.
+    """
     if decision.direction is not Direction.NEUTRAL:
         return decision
     acknowledging = OUTPUT[decision.phase].mission_status is None

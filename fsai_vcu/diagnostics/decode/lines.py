@@ -102,7 +102,7 @@ class LineWriter:
         return ',"message":null,"signals":{}}\n' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})\n"
 
     def _usual(self, layout: MessageLayout, words: Words) -> list[Part]:
-        """What the frames of a plain message say, from their payloads."""
+        """Return what the frames of a plain message say, from their payloads."""
         text = self._messages.get(layout.key)
         if text is None:
             texts = [self._text_of(signal) for signal in layout.signals]
@@ -151,7 +151,7 @@ class LineWriter:
         )
 
     def _tail(self, frame: LogFrame) -> str:
-        """What stands behind an unusual frame: an error or remote frame, or one that goes through cantools."""
+        """Return the text behind an unusual frame: an error or remote frame, or a frame that goes through cantools."""
         layout = self._decoder.databases.layouts.get(frame.can_id | (EXTENDED_KEY if frame.extended else 0))
         if frame.error:
             words = error_words(frame.can_id, frame.data)

@@ -80,7 +80,7 @@ def laptop(proc: Path = Path("/proc")) -> Machine:
 
 
 def kernel_has(module: str, folder: Path = _MODULES) -> bool:
-    """Whether the running kernel has a module, built in or to be loaded."""
+    """Return true where the running kernel has a module, built in or to be loaded."""
     here = folder / platform.release()
     return any(f"/{module}.ko" in _read(here / name) for name in ("modules.builtin", "modules.dep"))
 
@@ -158,7 +158,7 @@ def _details(name: str) -> dict[str, Any]:
 
 
 def listen(interface: str, codec: Codec, seconds: float) -> BusTraffic:
-    """What is on the bus for so long."""
+    """Listen for so long and return what is on the bus."""
     try:
         source = LiveSource([interface])
     except BusError as error:
@@ -224,7 +224,8 @@ def _ros(proc: Path) -> Ros:
 
 
 def distribution_of(rclpy: str, named: str, folder: Path) -> tuple[str, str]:
-    """Whose rclpy it is: a distribution's name, '' for the package index; and an installed one that is not used.
+    """Return whose rclpy it is: a distribution's name, '' for the package index; and an installed distribution that is
+    not used.
 
     rclpy: the folder it is imported from. named: ROS_DISTRO. folder: where distributions are, /opt/ros.
     """
@@ -250,7 +251,7 @@ def _implementation(proc: Path) -> str | None:
 
 
 def _bridge_started_s(proc: Path) -> float | None:
-    """When the running bridge was started, by the wall clock; None if none runs (proc(5))."""
+    """Return when the running bridge was started (s), by the wall clock; None if none runs (proc(5))."""
     booted = [line.split()[1] for line in _read(proc / "stat").splitlines() if line.startswith("btime ")]
     for folder in _processes(proc, _BRIDGE_MODULE):
         fields = _read(folder / "stat").rpartition(")")[2].split()
@@ -268,7 +269,9 @@ def _newer(path: Path, started_s: float | None) -> bool:
 
 
 def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
-    """Which of the files the services' user cannot read, or could change; nothing where there is no such user."""
+    """List those of the files that the services' user cannot read, or could change; nothing where there is no such
+    user.
+    """
     try:
         group = grp.getgrnam(_GROUP).gr_gid
     except KeyError:
@@ -302,19 +305,19 @@ def services(interface: str) -> dict[str, str]:
 
 
 def starts_at_boot() -> bool | None:
-    """Whether what is installed here starts with the machine; None where nothing is, or systemd does not run."""
+    """Return true where what is installed here starts with the machine; None where nothing is, or systemd does not run."""
     if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
         return None
     return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
-    """That of the running CAN loop."""
+    """Return the scheduling of the running CAN loop."""
     return next(filter(None, map(scheduling_of, _processes(proc, _LOOP_MODULE))), None)
 
 
 def scheduling_of(process: Path) -> Scheduling | None:
-    """That of the most urgent thread of a process, by its folder in /proc; None when it has just ended."""
+    """Return the scheduling of a process's most urgent thread, by its folder in /proc; None when it has just ended."""
     threads = []
     with suppress(OSError):
         for thread in (process / "task").iterdir():
@@ -402,7 +405,9 @@ def _processes(proc: Path, module: bytes) -> Iterator[Path]:
 
 
 def _synchronised() -> bool | None:
-    """Whether something keeps the kernel's clock right, as timedatectl judges it; None where that cannot be asked."""
+    """Return true where something keeps the kernel's clock right, as timedatectl judges it; None where that cannot be
+    asked.
+    """
     answer = ctypes.create_string_buffer(_TIMEX_BYTES)  # `modes` is zero: nothing is set
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(answer)
@@ -445,7 +450,7 @@ def system() -> str:
 
 
 def _output(*argv: str) -> str:
-    """What a command prints; nothing where it is not there or does not answer."""
+    """Return what a command prints; nothing where it is not there or does not answer."""
     tool = shutil.which(argv[0], path=f"{os.environ.get('PATH', '')}:{_PATH}")
     if tool is None:
         return ""

@@ -10,7 +10,7 @@ from fsai_vcu.diagnostics.doctor.wheels import Four
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the configuration asks for."""
+    """Settings that the configuration asks for."""
 
     path: str
     interface: str  # that is looked at
@@ -44,7 +44,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class BusTraffic:
-    """What was on the bus while the doctor listened. Pulses and speeds by the configured mapping: fl, fr, rl, rr."""
+    """Traffic on the bus while the doctor listened. Pulses and speeds by the configured mapping: fl, fr, rl, rr."""
 
     seconds: float
     frames: int = 0
@@ -76,7 +76,7 @@ class Ros:
 
 @dataclass(frozen=True, slots=True)
 class Scheduling:
-    """How a running CAN loop is scheduled. policy: SCHED_FIFO, SCHED_OTHER…"""
+    """Scheduling of a running CAN loop. policy: SCHED_FIFO, SCHED_OTHER…"""
 
     policy: str
     priority: int

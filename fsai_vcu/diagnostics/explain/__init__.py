@@ -51,7 +51,10 @@ _TOO_MANY: Final = (
 
 
 def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
-    """What happened in a log, and why. Of what happened and lasted within `part_ns`, with causes from the whole log."""
+    """Explain what happened in a log, and why.
+
+    It tells of what happened and lasted within `part_ns`, with causes from the whole log.
+    """
     begin_ns, end_ns = part_ns
     mixed = [*within(part_ns, record.second_cars)]
     # Of two who ask, the car can follow one.
@@ -107,7 +110,7 @@ def _told_by(other: Incident, one: Incident) -> bool:
 
 
 def _grouped(incidents: list[Incident], begin_ns: int) -> Iterator[Incident]:
-    """Of many of one kind and cause the first, with how many follow: a bus with two cars on it has hundreds."""
+    """Yield of many incidents of one kind and cause the first, with how many follow: a bus with two cars has hundreds."""
     alike: dict[object, list[Incident]] = {}
     for incident in incidents:
         alike.setdefault((incident.kind, incident.planned, incident.candidates[0].slug), []).append(incident)
@@ -134,7 +137,7 @@ def _closing(record: Record, part_ns: TimeRange) -> str:
 
 
 def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:
-    """What this log lacks to be explained whole, and which part of it is told."""
+    """Say what this log lacks to be explained whole, and which part of it is told."""
     if part_ns != ALWAYS:
         low_ns, high_ns = max(part_ns[0], record.begin_ns), min(part_ns[1], record.end_ns)
         low_s, high_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (low_ns, high_ns))

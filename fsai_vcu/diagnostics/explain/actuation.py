@@ -96,7 +96,7 @@ def mismatches(record: Record, part_ns: TimeRange = ALWAYS) -> Iterator[Incident
 
 
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
-    """Where the car has reported it all along lately: what is missing is not a wrong answer."""
+    """Select the times at which the car has reported it all along lately: what is missing is not a wrong answer."""
     received = record.times(signal.can_id)
     if not len(received) or not len(record.series(signal)):
         return np.zeros(len(times), np.bool_)

@@ -33,7 +33,7 @@ class Cause:
 
     @property
     def remedy(self) -> str:
-        """What to do, as the user manual would say it."""
+        """Remedy, as the user manual would say it."""
         return remedy_of(self.slug, theirs=self.theirs)
 
 
@@ -64,7 +64,7 @@ _RECORD: Final[Mapping[str, str]] = {
     "torque_limit_zero": "the VCU's and the inverters' own logs",
     "stands": "both directions (0x510-0x514 and 0x520-0x526), from power-up on",
 }
-"""What to record next time."""
+"""Frames to record next time."""
 
 _OWN: Final[Mapping[str, str]] = {
     "ai_computer_request": "the AI computer asked for it (ESTOP_REQUEST 1)",

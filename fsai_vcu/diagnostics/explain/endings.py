@@ -120,7 +120,7 @@ def _emergency(record: Record, span: Span) -> Incident:
 
 
 def _marks(record: Record, one: Candidate) -> list[ChainLink]:
-    """What 0x120 (2021) reports as missing belongs to a chain about the link."""
+    """Return the links for a chain about the link: what 0x120 (2021) reports as missing."""
     if not one.slug.startswith(("ai_message", "ai_silent", "handshake", "ai_unheard", "ai_comms")):
         return []
     return [
@@ -384,7 +384,7 @@ def _impossible(span: Span) -> list[Candidate]:
 
 
 def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
-    """What is left when neither the car nor the frames name a cause."""
+    """Return the causes that are left when neither the car nor the frames name one."""
     t_ns = span.begin_ns
     if span.before is None:
         step = sig.AS_STATE.step(t_ns, "the first 0x520 of the log says EMERGENCY_BRAKE already")
@@ -525,7 +525,7 @@ def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
 
 
 def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> int | None:
-    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on.
+    """Return when the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on.
 
     driven: where in `brake` it was not 0.
     """

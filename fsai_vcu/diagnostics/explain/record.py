@@ -87,11 +87,11 @@ class Spans(Sequence[Span]):
         return chain.from_iterable(self.between(low, low + _AT_ONCE) for low in range(0, len(self), _AT_ONCE))
 
     def of(self, value: float) -> Iterator[Span]:
-        """Those of this value."""
+        """Yield the spans of this value."""
         return map(self.__getitem__, np.flatnonzero(self.values == value).tolist())
 
     def between(self, low: int, high: int) -> Iterator[Span]:
-        """Those of the slice."""
+        """Return the spans of the slice."""
         apart = self.apart[low : high + 1].tolist()
         values = [*([] if low else [None]), *self.values[max(low - 1, 0) : high + 1].tolist(), None]
         before = [None if alone else value for alone, value in zip(apart, values, strict=False)]
@@ -119,11 +119,13 @@ class Series:
 
     @cached_property
     def spans(self) -> Spans:
-        """What was sent, change by change."""
+        """Spans of what was sent, change by change."""
         return self.spans_within(np.iinfo(np.int64).max)
 
     def spans_within(self, longest_ns: int) -> Spans:
-        """What was sent, change by change; where no frame came for longer, a span ends with the last one before."""
+        """Return the spans of what was sent, change by change; where no frame came for longer, a span ends with the
+        last frame before.
+        """
         if not len(self.t_ns):
             return NO_SPANS
         missing = np.diff(self.t_ns, prepend=self.t_ns[0]) > longest_ns
@@ -138,7 +140,9 @@ class Series:
         return self.spans[place] if place >= 0 else None
 
     def since(self, times: Ints) -> Ints:
-        """When the value in force at each of `times` began, the first one before; 0 where there is no such signal."""
+        """Return when the value in force at each of `times` began, the first one before; 0 where there is no such
+        signal.
+        """
         begin_ns = self.spans.begin_ns
         places = np.maximum(np.searchsorted(begin_ns, times, side="right") - 1, 0)
         return begin_ns[places] if len(self) else np.zeros_like(times)
@@ -179,11 +183,11 @@ class Gap(NamedTuple):
 
     @property
     def over_ns(self) -> int:
-        """When it ended, or the log did."""
+        """Time (ns) at which it ended, or the log did."""
         return self.begin_ns + self.length_ns
 
     def words(self) -> str:
-        """How long it lasted."""
+        """Words for how long it lasted."""
         return f"to the end of the log ({ms(self.length_ns)})" if self.end_ns is None else f"for {ms(self.length_ns)}"
 
 
@@ -287,11 +291,13 @@ class Record:
     # ------------------------------------------------------------ signals
 
     def has(self, can_id: int) -> bool:
-        """Whether the log has that message, whole."""
+        """Return true where the log has that message, whole."""
         return can_id in self._rows
 
     def lacks(self, can_id: int) -> bool:
-        """Whether no whole frame of that message came; one that the database does not name did come."""
+        """Return true where no whole frame of that message came; a frame that the database does not name counts as
+        come.
+        """
         return not self.has(can_id) and can_id not in self.unknown_ids
 
     def never_right(self, can_id: int) -> bool:
@@ -300,12 +306,13 @@ class Record:
 
     @property
     def ai_speaks(self) -> bool:
-        """Whether the log has any whole message of the AI computer."""
+        """Return true where the log has any whole message of the AI computer."""
         return any(map(self.has, AI_IDS))
 
     @cached_property
     def ai_is_theirs(self) -> bool:
-        """Whether another program than this software's bridge drives: it sends in another order, or in another rhythm.
+        """Return true where another program than this software's bridge drives: it sends in another order, or in
+        another rhythm.
 
         The bridge sends 0x510 to 0x514 in the order of their ids, together, every 10 ms. Where two programs send, or
         too little was heard, that is not told.
@@ -319,14 +326,14 @@ class Record:
         return not (0.9 <= turns / max(cycles, 1) <= 1.1 and 0.8 <= period_ns / PERIOD_NS <= 1.2)
 
     def times(self, can_id: int) -> Ints:
-        """When that message came."""
+        """Return when (ns) that message came."""
         if can_id not in self._times:
             rows = self._rows.get(can_id)
             self._times[can_id] = NOTHING.t_ns if rows is None else self.frames.t_ns[rows]
         return self._times[can_id]
 
     def newest_ns(self, can_id: int, at_ns: Ints | int) -> Ints:
-        """When that message came last, before or at each of these times; -1 s: never."""
+        """Return when (ns) that message came last, before or at each of these times; -1 s: never."""
         times = np.append(-S, self.times(can_id))
         return np.asarray(times[np.searchsorted(times, at_ns, side="right") - 1])
 
@@ -409,7 +416,7 @@ class Record:
     # ------------------------------------------------------------ the link
 
     def gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
-        """Where that message was missing for more than `longest_ns`, within the log and at its end."""
+        """Return the gaps in which that message was missing for more than `longest_ns`, within the log and at its end."""
         if (can_id, longest_ns) not in self._gaps:
             self._gaps[can_id, longest_ns] = self._find_gaps(can_id, longest_ns)
         return self._gaps[can_id, longest_ns]
@@ -451,7 +458,7 @@ class Record:
         return tuple((int(times[place]), int(times[place + 1])) for place in np.flatnonzero(np.diff(times) > DEAD_NS))
 
     def silence_in(self, gap: Gap) -> bool:
-        """Whether a silence of everybody is nearly all of this gap of one message."""
+        """Return true where a silence of everybody is nearly all of this gap of one message."""
         shared = (min(end_ns, gap.over_ns) - max(begin_ns, gap.begin_ns) for begin_ns, end_ns in self.silences)
         return any(length_ns > DEAD_SHARE * gap.length_ns for length_ns in shared)
 
@@ -467,7 +474,7 @@ class Record:
 
     @property
     def frozen(self) -> Sequence[Span]:
-        """Where 0x520 came and repeated itself: for 100 ms and more HANDSHAKE stood though its echo was there.
+        """Spans in which 0x520 came and repeated itself: for 100 ms and more HANDSHAKE stood though its echo was there.
 
         It may stand where the VCU misses the echo (AI_COMMS_LOST), where the car does not drive itself (0x120 says so),
         after a drive, and while the VCU comes up: for a second where the log has no toggle before, at 0 in AS_INIT for
@@ -525,7 +532,7 @@ class Record:
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:
-        """Where somebody else sends on the AI computer's ids, in the order of time."""
+        """Senders besides the AI computer on its ids, in the order of time."""
         return second_senders(self.frames, self.decoder.databases)
 
     @cached_property

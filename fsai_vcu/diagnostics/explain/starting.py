@@ -236,10 +236,10 @@ def _no_go(record: Record, span: Span, end_ns: int) -> Iterator[Candidate]:
 
 
 def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> Iterator[Obstacle]:
-    """What stands between now and driving, and what to do, what must be put right first in front.
+    """Yield the obstacles between now and driving, and what to do; the one to put right first comes first.
 
-    In AS_DRIVING only that the car stands. emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that
-    was seen.
+    In AS_DRIVING it yields only that the car stands. emergency: the newest entry into EMERGENCY_BRAKE with its causes,
+    where that was seen.
     """
     span = record.span_at(sig.AS_STATE, now_ns)
     if span is None and record.wrong_length.get(sig.STATUS):

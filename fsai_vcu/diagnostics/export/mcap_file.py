@@ -200,7 +200,7 @@ class McapTables:
         self._stream.write(out.end())
 
     def _number_of(self, topic: RosTopic) -> int:
-        """Of the topic's channel, registered when it is first met."""
+        """Return the number of the topic's channel, which is registered when it is first met."""
         key, kind = (topic.name, topic.type_name), (topic.type_name, topic.definition)
         if kind not in self._types:
             number = self._types[kind] = len(self._types) + 1

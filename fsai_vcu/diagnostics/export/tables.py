@@ -38,7 +38,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """What is known of a table before its rows. `about` is for people. `channel` is the bus, "" for all of them."""
+    """Description of a table, known before its rows. `about` is for people. `channel` is the bus, "" for all of them."""
 
     name: str
     columns: tuple[Column, ...]

@@ -75,7 +75,7 @@ class WideTable:
 
 
 def _values(source: Rows, instants: Ints) -> Iterator[Values]:
-    """Of each signal the last value it had, for not every frame need have all; and the age of the last frame."""
+    """Yield the last value that each signal had, for not every frame need have all; and the age of the last frame."""
     last = np.searchsorted(source.t_ns, instants, side="right") - 1
     rows = np.arange(len(source))
     for values in source.values:

@@ -73,7 +73,7 @@ def read_lines(
 
 
 def too_long(line: bytes) -> str:
-    """What is said of a line that is longer than `LONGEST_LINE`, or of its beginning."""
+    """Describe a line that is longer than `LONGEST_LINE`, given it or its beginning."""
     return f"longer than {LONGEST_LINE} characters: {_beginning(line)}"
 
 
@@ -83,7 +83,7 @@ def _beginning(line: bytes) -> str:
 
 
 def whole_line(line: str) -> bool:
-    """Whether a line without its end has a whole frame: one that cannot be longer than it is."""
+    """Return true where a line without its end has a whole frame, which cannot be longer than it is."""
     digits = line.partition("#")[2].strip()
     return len(digits) == 2 * MAX_CLASSIC_DLC or digits.endswith((" R", " T"))
 
@@ -223,7 +223,7 @@ def _identifier_text(frame: LogFrame) -> str:
 
 
 def _payload_text(frame: LogFrame) -> str:
-    """What stands behind the '#' in a log of candump."""
+    """Return the text behind the '#' in a log of candump."""
     if frame.remote:
         return f"R{frame.length or ''}"
     if frame.fd:

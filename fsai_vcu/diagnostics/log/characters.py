@@ -36,12 +36,12 @@ Part = bytes | Texts
 
 
 def characters(items: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Of each item a row."""
+    """Return a row of characters for each item."""
     return items.view(np.uint8).reshape(len(items), items.itemsize)
 
 
 def items_of(rows: npt.NDArray[Any]) -> Items:
-    """Of each row an item."""
+    """Return an item for each row."""
     rows = np.ascontiguousarray(rows)
     return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel()
 
@@ -77,7 +77,7 @@ def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Se
 
 
 def length_of(parts: Sequence[Part]) -> Places | int:
-    """Of all the parts together, in each row."""
+    """Return the length of all the parts together, in each row."""
     return sum((len(part) if isinstance(part, bytes) else part.lengths for part in parts), start=0)
 
 

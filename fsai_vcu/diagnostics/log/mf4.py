@@ -144,7 +144,7 @@ def _send_frames(mdf: Any, most_bytes: int, send: Callable[[Frames | str], None]
 def _group_frames(
     mdf: Any, number: int, kind: str, channels: list[str], problem: Callable[[str], None]
 ) -> Iterator[Frames]:
-    """Of one channel group, which has frames of one kind. `channels` grows."""
+    """Yield the frames of one channel group, which are of one kind. `channels` grows."""
     start_s = mdf.header.start_time.timestamp()
     announced, read = mdf.groups[number].channel_group.cycles_nr, 0
     computed = [

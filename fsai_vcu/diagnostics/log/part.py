@@ -43,7 +43,7 @@ class Part:
         self._bounds: tuple[float, float] | None = None
 
     def __bool__(self) -> bool:
-        """Whether anything is left out at all."""
+        """Return true where anything is left out at all."""
         return self._begin is not None or self._end is not None or self._ids is not None
 
     @property

@@ -43,7 +43,7 @@ def _flag(name: str) -> Callable[[_Row], bool]:
 
 
 def _by_number(row: _Row) -> bool:
-    """Where no column says it."""
+    """Return true where the number needs an extended identifier, for a table in which no column says it."""
     return int(row["addr"], 0) > 0x7FF
 
 

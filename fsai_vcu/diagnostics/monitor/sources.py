@@ -1,4 +1,4 @@
-"""Where pictures come from: a bus as it is now, or a log at any of its moments."""
+"""Sources of pictures: a bus as it is now, or a log at any of its moments."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Moment(NamedTuple):
 
 
 def lag_words(heard_ns: int, now_ns: int) -> str:
-    """Of a display that has taken only what came until `heard_ns`; '' where that is near enough to the present."""
+    """Say that a display has taken only what came until `heard_ns`; '' where that is near enough to the present."""
     lag_ns = now_ns - heard_ns
     return f"this display lags by {lag_ns / S:.1f} s: this machine is too busy" if lag_ns > _LAG_NS else ""
 
@@ -156,7 +156,7 @@ class Log:
 
     @property
     def end_ns(self) -> int:
-        """Of the last frame: for that the whole log is read."""
+        """Time (ns) of the last frame: for that the whole log is read."""
         self.read_all()
         return self._view.memory.newest_ns or 0
 
@@ -223,7 +223,7 @@ class Log:
         return view, view.picture(t_ns)
 
     def _read_to(self, t_ns: float) -> bool:
-        """Whether there is a frame at that time or later, as far as reading on tells."""
+        """Return true where there is a frame at that time or later, as far as reading on tells."""
         memory = self._view.memory
         while memory.newest_ns is None or memory.newest_ns < t_ns:
             frames = next(self._chunks, None)

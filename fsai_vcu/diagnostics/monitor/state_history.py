@@ -1,8 +1,8 @@
-"""What a view remembers of a bus: the last seconds whole, and of all before them what shows states; what changed in it.
+"""Memory of a view: the last seconds of a bus whole, of all before them what shows states, and what changed in it.
 
 The whole of a day on a bus does not fit, and is not needed: states change seldom. So of 0x520, 0x510, 0x524 and 0x525
-those frames are kept at which a state in them changed, those on both sides of a pause, and two a second besides, which
-show that there was no pause. Of every other message the newest frame is kept.
+the memory keeps those frames at which a state in them changed, those on both sides of a pause, and two a second
+besides, which show that there was no pause. Of every other message it keeps the newest frame.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Memory:
         self._channels: list[str] = []
 
     def copy(self) -> Memory:
-        """What is remembered now, for frames with times as `update` returned them."""
+        """Return a copy of what is remembered now, for frames with times as `update` returned them."""
         found = copy.copy(self)
         found._moved_ns = 0
         found.first_ns, found.newest = dict(self.first_ns), dict(self.newest)

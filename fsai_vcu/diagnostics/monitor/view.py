@@ -36,7 +36,7 @@ EXPECTED: Final = tuple(
     for message in BUS_TABLE
     if message.flow in (Flow.TO_VCU, Flow.FROM_VCU) and message.timeout_ns is not None
 )
-"""What is on the car's bus whenever car and AI computer are up, received or not."""
+"""Messages on the car's bus whenever car and AI computer are up, received or not."""
 
 _UNSUPERVISED_PERIODS: Final = 10  # interface specification v4.0: ten in a row are a loss
 _LATE_PERIODS: Final = 5
@@ -68,7 +68,9 @@ _STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig
 
 
 class View:
-    """What is on a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace our own."""
+    """View of a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace the built-in
+    ones.
+    """
 
     def __init__(self, channel: str = "", revision: str | None = None, databases: Databases | None = None) -> None:
         self.memory = Memory()
@@ -95,7 +97,7 @@ class View:
         return self.memory.update(frames)
 
     def picture(self, now_ns: int) -> Picture:
-        """What there is to see at `now_ns`, on the clock of the frames."""
+        """Return what there is to see at `now_ns`, on the clock of the frames."""
         frames = self.memory.condensed(self.memory.window(now_ns))
         if not len(frames):
             named, nothing = self._revision or "2026", ("nothing is received on this bus",)
@@ -130,7 +132,7 @@ class View:
         return bytes_of(self._long(now_ns), key, now_ns)
 
     def events(self) -> list[TimelineEntry]:
-        """What changed in the states of car and AI computer, from the beginning on."""
+        """List what changed in the states of car and AI computer, from the beginning on."""
         frames = self._long(self.memory.newest_ns or 0)
         if not len(frames):
             return []
@@ -256,7 +258,7 @@ class _Moment:
         return found
 
     def _fresh(self, can_id: int) -> bool:
-        """Whether the message comes, whole, and not missing for so long that it counts as lost."""
+        """Return true where the message comes, whole, and is not missing for so long that it counts as lost."""
         times = self._record.times(can_id)
         return bool(len(times)) and self._now_ns - int(times[-1]) < self._lost_after_ns(can_id)
 
@@ -333,7 +335,7 @@ class _Moment:
         return (self._now_ns - int(answers.toggle_ns[-1])) / S
 
     def _link(self, messages: tuple[MessagePicture, ...]) -> Iterator[str]:
-        """What is wrong on the bus itself, the gravest first."""
+        """Yield what is wrong on the bus itself, the gravest first."""
         for others in (self._record.second_senders, self._record.second_cars):
             recent = [other.sentence for other in others if other.end_ns > self._now_ns - WINDOW_NS]
             yield from recent[-1:]

@@ -165,7 +165,7 @@ def _moment(at_s: float) -> str:
 
 
 def _findings(verdict: Verdict) -> str:
-    """What check says of the log; incidents have articles of their own."""
+    """Return what check says of the log; incidents have articles of their own."""
     kinds = {kind.slug for kind in IncidentKind}
     shown = "".join(f'<li class="problem"><b>unknown</b>: {escape(why)}.</li>\n' for why in verdict.unknown)
     for finding in verdict.findings:

@@ -10,7 +10,7 @@ from fsai_vcu.files import move_aside, open_new
 
 
 class DurableFile:
-    """What is written waits in memory until `push` has it on the disk.
+    """File whose text waits in memory until `push` has it on the disk.
 
     After a `push` that failed (a full disk), the file ends where the last good one left it, nothing of what waits is
     lost, and `push` may be tried again.
@@ -69,7 +69,7 @@ class DurableFile:
 
 
 def sync_folder(folder: Path) -> None:
-    """What was created, renamed or deleted in it is so after a power cut."""
+    """Make what was created, renamed or deleted in the folder outlast a power cut."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

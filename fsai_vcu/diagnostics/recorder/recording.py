@@ -144,7 +144,7 @@ class Recording:
 
     @contextmanager
     def _left_as_it_is(self, path: Path) -> Iterator[None]:
-        """What cannot be repaired, or is no file of a recorder, keeps no recording from beginning."""
+        """Let a recording begin beside files that cannot be repaired, or are no recorder's."""
         try:
             yield
         except FileNotFoundError:

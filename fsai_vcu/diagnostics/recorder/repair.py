@@ -1,4 +1,6 @@
-"""What a power cut leaves: a last line that is half there, an MCAP without its end. Both are made whole again."""
+"""Repair of what a power cut leaves: a last line that is half there, an MCAP without its end. Both are made whole
+again.
+"""
 
 from __future__ import annotations
 
@@ -139,7 +141,7 @@ def _check_unpacked(chunk: Chunk) -> None:
 
 
 def _learn_channels(summary: Summary, last: Chunk | None) -> None:
-    """Those that the last chunk brings, once its messages are known."""
+    """Learn the channels that the last chunk brings, once its messages are known."""
     if last is not None and not summary.counts[-1].keys() <= summary.channels.keys():
         schemas, channels, _ = _contents(last)
         summary.schemas |= schemas
@@ -147,7 +149,7 @@ def _learn_channels(summary: Summary, last: Chunk | None) -> None:
 
 
 def _contents(chunk: Chunk) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, MessageIndex]]:
-    """What a chunk defines, and where its messages are."""
+    """Return what a chunk defines, and where its messages are."""
     from mcap.opcode import Opcode
     from mcap.records import Channel, Message, MessageIndex, Schema
     from mcap.stream_reader import get_chunk_data_stream

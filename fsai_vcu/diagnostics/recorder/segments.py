@@ -1,4 +1,4 @@
-"""Where a recording goes: one file, or a folder of numbered segments whose oldest give way to the newest."""
+"""Place of a recording: one file, or a folder of numbered segments whose oldest give way to the newest."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LOST_HERE: Final = "lost_in_receive_buffer"
 
 
 def lost_words(frames: int) -> str:
-    """What is said, everywhere, of frames that a listening machine lost itself."""
+    """Say, everywhere in the same words, that a listening machine lost frames itself."""
     which = f"{frames} frame{'s' * (frames > 1)}"
     return f"{which} lost in this machine's receive buffer: no fault of the bus or the car" if frames else ""
 
@@ -94,7 +94,7 @@ class SegmentFolder:
         return self.path / f"{self._prefix}-{self.number if number is None else number:0{_DIGITS}d}{kind}"
 
     def all_files(self, kind: str) -> list[Path]:
-        """Of every segment, the oldest first."""
+        """List the files of every segment, the oldest first."""
         found = [(self._age(number), path) for number, path in self._files() if path.suffix == kind]
         return [path for _, path in sorted(found, reverse=True)]
 
@@ -143,7 +143,7 @@ class SegmentFolder:
             raise OSError(f"more than {most >> 20} MB in one segment")
 
     def _age(self, number: int) -> int:
-        """How many numbers before the one in hand."""
+        """Return how many numbers a segment is before the one in hand."""
         return (self.number - number) % _RANGE
 
     def _segments(self) -> dict[int, int]:

@@ -1,4 +1,5 @@
-"""What a ROS stack around the bridge does wrong, judged from its messages. No ROS here: whoever listens hands them in.
+"""Judgement of what a ROS stack around the bridge does wrong, from its messages. No ROS here: the listener hands them
+in.
 
 stack = StackWatch()
 stack.receive("vehicle_cmd", message, now_s, ros_ns)      # each message, as it comes
@@ -38,7 +39,7 @@ _CLOCK = "start it without use_sim_time, or let everything go by one /clock"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What is expected of one. `least_hz` is a tenth below what is asked for; 0: said once, kept for late listeners."""
+    """Expectation of a topic. `least_hz` is a tenth below what is asked for; 0: said once, kept for late listeners."""
 
     least_hz: float
     sender: str = ""  # of what must come
@@ -95,7 +96,7 @@ class Heard:
 
 @dataclass(slots=True)
 class StackWatch:
-    """What was heard of a stack, and what of it is wrong."""
+    """Record of what was heard of a stack, and of what is wrong."""
 
     heard: dict[str, Heard] = field(default_factory=lambda: {topic: Heard() for topic in TOPICS})
     ends: dict[str, Ends] = field(default_factory=dict)
@@ -217,7 +218,7 @@ class StackWatch:
             )
 
     def _of_plans(self) -> Iterator[Finding]:
-        """What is published and does not come; and paths that lead nowhere."""
+        """Yield what is published and does not come; and paths that lead nowhere."""
         why = f"; the planner says: {self.no_path}" if self.no_path else ""
         for topic in ("detected_cones", "path"):
             ends = self.ends.get(topic, Ends())
@@ -292,7 +293,7 @@ def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
 
 
 def _of_commands(problem: str, count: int, steer_max_rad: float) -> tuple[str, str]:
-    """What is wrong with `count` commands, and what to do; `problem` is a field's name, or 'both'."""
+    """Say what is wrong with `count` commands, and what to do; `problem` is a field's name, or 'both'."""
     if problem == "both":
         return f"{count} commands ask for throttle and brake together: the brake wins", "set one of them to 0"
     if problem == "run_id":

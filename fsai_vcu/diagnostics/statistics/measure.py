@@ -1,4 +1,4 @@
-"""What a bus did, in figures. Whether that is as it should be is for the verdict to say (verdict/of_bus.py)."""
+"""Figures of what a bus did. The verdict says whether that is as it should be (verdict/of_bus.py)."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class TimeSpread:
 
     @classmethod
     def of(cls, ordered: Ints) -> TimeSpread:
-        """Of times in ns, in ascending order."""
+        """Return the spread of times in ns, in ascending order."""
         found = [quantile(ordered, share) for share in (0.5, 0.99, 1.0)]  # type: ignore[arg-type]
         return cls(*(None if time_ns is None else time_ns / MS for time_ns in found))
 
@@ -273,7 +273,7 @@ def _measure_message(
     bitrate: int,
     off_ns: Sequence[tuple[int, int]],
 ) -> MessageStatistics:
-    """Of the frames of one message, on a bus whose first and last frame came at these times."""
+    """Measure the frames of one message, on a bus whose first and last frame came at these times."""
     t_ns, word, length, flags = frames.t_ns, frames.word, frames.length, frames.flags
     duration_ns = bus_ns[1] - bus_ns[0]
     words = np.sort(word)
@@ -322,7 +322,7 @@ def _measure_message(
 
 
 def _runs(*columns: npt.NDArray[Any]) -> Ints:
-    """Where each run of rows begins in which all columns stay as they are."""
+    """Return where each run of rows begins in which all columns stay as they are."""
     changed = np.ones(len(columns[0]), np.bool_)
     changed[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     return np.flatnonzero(changed)
@@ -340,7 +340,7 @@ def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
 
 
 def share(bits: Halves, duration_ns: int, bitrate: int) -> float:
-    """Of that time on the wire."""
+    """Return the share of that time that the bits take on the wire."""
     return int(bits.sum()) / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
@@ -358,7 +358,7 @@ def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
 
 
 def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDArray[Any]) -> Ints:
-    """When each bit was first sent back from its toggle on; NEVER_NS where it was not."""
+    """Return when each bit was first sent back from its toggle on; NEVER_NS where it was not."""
     first_ns = np.full(len(toggle_ns), NEVER_NS)
     for bit in (0, 1):
         times = np.append(echo_ns[echo_bits == bit], NEVER_NS)

@@ -56,7 +56,7 @@ class SecondSender:
 
     @property
     def words(self) -> str:
-        """What proves it, with the ids."""
+        """Proof of the second sender, with the ids."""
         ids = ", ".join(f"0x{can_id:03X}" for can_id in self.can_ids)
         which = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
         return f"{ids}: {self.proof}{which}"
@@ -89,7 +89,7 @@ def second_cars(times: Mapping[int, Ints]) -> list[SecondSender]:
 
 
 def _joined(found: list[SecondSender]) -> list[SecondSender]:
-    """Those that are of one time together, in the order of time."""
+    """Join those of the same time, and return them in the order of time."""
     joined: list[SecondSender] = []
     for one in sorted(found, key=lambda one: one.begin_ns):
         last = joined[-1] if joined else None
@@ -142,12 +142,14 @@ def _begun(one: SecondSender, close_ns: Ints) -> SecondSender:
 
 
 def batched(t_ns: Ints) -> bool:
-    """Whether an adapter handed these frames of one message over together: the stamps are not when they were sent."""
+    """Return true where an adapter handed these frames of one message over together: the stamps are not when they were
+    sent.
+    """
     return bool((np.diff(t_ns) < MS).mean() > _BATCHED_SHARE) if len(t_ns) > 1 else False
 
 
 def _around(t_ns: Ints) -> Ints:
-    """How many frames there are in the second around the short window that begins with each."""
+    """Count the frames in the second around the short window that begins with each."""
     middle = t_ns + SHORT_NS // 2
     return np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
 

@@ -118,7 +118,7 @@ class Verdict:
                 yield f"    what to do: {remedy}."
 
     def moment(self, finding: Finding) -> str:
-        """When: seconds since the log's first frame, and the time of day where the log has one."""
+        """Return the moment: seconds since the log's first frame, and the time of day where the log has one."""
         if finding.t_ns is None:
             return ""
         clock = (
@@ -320,7 +320,7 @@ def _all_told(record: Record, told: set[tuple[int | None, int]]) -> bool:
 
 
 def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
-    """What the car did beside what incidents are made of: the first of each kind, and how often."""
+    """Yield what the car did beside the matter of incidents: the first of each kind, and how often."""
     state = record.series(AS_STATE)
     found: list[tuple[int, str, str, int]] = []
     for kind, signal in (*(("torque-limit", each) for each in CAR_TORQUE_MAX), ("go", GO)):

@@ -1,6 +1,7 @@
-"""What an AI side did wrong that the car bore, whatever stack it is: mistakes that cost teams their event.
+"""Mistakes of an AI side that the car bore, whatever stack it is: mistakes that cost teams their event.
 
-Each looks at AS_DRIVING alone, and is said once, with its first moment. What stopped the car is an incident's cause.
+Each check looks at AS_DRIVING alone, and reports once, with the first moment. What stopped the car is an incident's
+cause.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _AXLES: Final = (
 
 
 def mistakes(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
-    """Of the AI side, in that part of the log."""
+    """Yield the mistakes of the AI side in that part of the log."""
     yield from _steering_swapped(record, part_ns)
     yield from _wrong_axle(record, part_ns)
     yield from _never_running(record, part_ns)

@@ -157,7 +157,7 @@ class AckermannAdapter(Node):
         )
 
     def _connect(self) -> None:
-        """What the interface has: commands, flags, services, and what the stack is told."""
+        """Connect what the interface has: commands, flags, services, and what the stack is told."""
         one, door = self._interface, self._door
         # As best effort it is received, whatever the stack promises.
         commands = ros_type(f"ackermann_msgs/{one.command_type}")

@@ -1,4 +1,5 @@
-"""What ackermann_adapter tells a stack: our messages in the types, numbers and words of the teams' interfaces. Pure.
+"""Outputs of ackermann_adapter to a stack: this project's messages in the types, numbers and words of the teams'
+interfaces. Pure.
 
 Each kind has the type that it makes. Types are looked for only when a preset asks for them: a team has its own.
 """
@@ -23,7 +24,7 @@ RPM_PER_TURN_PS = 60.0
 # ---------------------------------------------------------------- numbers and words
 
 AS_STATES = {AsState.AS_READY: 1, AsState.AS_DRIVING: 2, AsState.EMERGENCY_BRAKE: 3, AsState.AS_FINISHED: 4}
-"""Of eufs_msgs/CanState; all others are AS_OFF, 0."""
+"""Numbers of eufs_msgs/CanState; all other states are AS_OFF, 0."""
 CAN_MISSIONS = {
     Ami.ACCELERATION: 11,
     Ami.SKIDPAD: 12,
@@ -33,7 +34,7 @@ CAN_MISSIONS = {
     Ami.STATIC_INSPECTION_A: 18,
     Ami.STATIC_INSPECTION_B: 19,
 }
-"""Of eufs_msgs/CanState."""
+"""Numbers of eufs_msgs/CanState."""
 NO_CAN_MISSION = 10
 SET_MISSIONS = {
     Ami.ACCELERATION: 1,
@@ -44,7 +45,7 @@ SET_MISSIONS = {
     Ami.STATIC_INSPECTION_B: 9,
     Ami.AUTONOMOUS_DEMO: 10,
 }
-"""Of eufs_msgs/SetMission; 0 is none."""
+"""Numbers of eufs_msgs/SetMission; 0 is none."""
 _AS_WORDS = {
     AsState.AS_READY: "READY",
     AsState.AS_DRIVING: "DRIVING",
@@ -211,7 +212,7 @@ def twist(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
 
 @_output("eufs_msgs/VehicleCommandsStamped")
 def vehicle_commands(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
-    """What was sent, in the units of the wire. The motors' speed limit is in no VehicleState."""
+    """Return the commands that were sent, in the units of the wire. The motors' speed limit is in no VehicleState."""
     message = _stamped(kind, state)
     sent = message.commands
     sent.handshake, sent.ebs = int(state.handshake), int(state.sent_estop_request)
@@ -224,7 +225,7 @@ def vehicle_commands(kind: type[Any], state: VehicleState, _driving: bool) -> An
 
 @_output("nav_msgs/Odometry")
 def odometry(_kind: type[Any], state: VehicleState, _driving: bool) -> Any:
-    """Where the run's odometry has the car."""
+    """Return where the run's odometry has the car."""
     message = odometry_to_msg(motion_from_state(state, 0), state.header.stamp)
     message.child_frame_id = FRAME
     return message

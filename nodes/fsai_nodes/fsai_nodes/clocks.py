@@ -1,4 +1,4 @@
-"""What every node of this package shares at ROS's edge: the two clocks, and timers that a clock step cannot stop."""
+"""Clocks that every node of this package shares at ROS's edge, and timers that a clock step cannot stop."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Clocks:
         return after_ns
 
     def wrong(self, now_ns: int) -> str:
-        """What is wrong with this node's own clock, in words; empty where it is this computer's, or beside it.
+        """Say in words what is wrong with this node's own clock; empty where it is this computer's, or near it.
 
-        It is another one with use_sim_time: then it is what /clock says.
+        It is another clock with use_sim_time: then it is what /clock says.
         """
         if not self._ros_clock.ros_time_is_active:
             return ""

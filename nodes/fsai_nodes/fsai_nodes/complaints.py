@@ -1,4 +1,4 @@
-"""What a node has to complain of: each complaint at once in the log and in /diagnostics, then at most once a second."""
+"""Complaints of a node: each at once in the log and in /diagnostics, then at most once a second."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Complaints:
         self._publish(kind, line, level, one.count)
 
     def count(self, kind: str) -> int:
-        """How often there was a complaint of this kind."""
+        """Return how often there was a complaint of this kind."""
         return self._kinds[kind].count if kind in self._kinds else 0
 
     def _publish(self, kind: str, line: str, level: Level, count: int) -> None:

@@ -211,7 +211,7 @@ def key_of(kind: type[Any]) -> str:
 
 
 def declared(kind: type[Any]) -> Parts:
-    """What is declared of a type. Raises LookupError where nothing is."""
+    """Return what is declared of a type. Raises LookupError where nothing is."""
     key = key_of(kind)
     if key not in DECLARED:
         raise LookupError(f"{key} is taken by a node and not declared in fsai_nodes.declarations")

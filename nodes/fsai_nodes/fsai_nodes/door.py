@@ -38,7 +38,7 @@ NOT_KNOWN = "_NODE_NAME_UNKNOWN_"  # a publisher is discovered before its node's
 
 
 class Senders:
-    """Who publishes one topic: names by the GID that the middleware gives each publisher."""
+    """Publishers of one topic: names by the GID that the middleware gives each publisher."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
@@ -70,7 +70,7 @@ class Senders:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What is known of a message besides what is in it. `gid`: of its publisher, where the middleware tells it."""
+    """Facts about a message besides its content. `gid`: of its publisher, where the middleware tells it."""
 
     topic: str
     gid: bytes | None
@@ -190,7 +190,7 @@ class Door:
         return words
 
     def _answer(self, what: str, ask: Callable[[Any], Any], argument: Any, otherwise: Any) -> Any:
-        """What `ask` says; `otherwise` where it raises, so that whoever asks has an answer."""
+        """Return what `ask` says; `otherwise` where it raises, so that the asker has an answer."""
         try:
             return ask(argument)
         except NodeError:

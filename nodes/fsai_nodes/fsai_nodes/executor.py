@@ -141,7 +141,7 @@ def _refused(service: Service, request: Any, why: str) -> Any:
 
 
 def _name(entity: Any) -> str:
-    """What it is, in words that stay the same."""
+    """Name an entity, in words that stay the same."""
     if entity is None:
         return "a task"
     for field in ("topic_name", "srv_name"):
@@ -153,7 +153,7 @@ def _name(entity: Any) -> str:
 
 
 def _place(error: Exception) -> str:
-    """Where it was raised: file and line."""
+    """Return where the error was raised: file and line."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -34,7 +34,7 @@ def shown(value: object) -> str:
 
 
 class Kind:
-    """What one field may hold."""
+    """Kind of content that one field may hold."""
 
     checked = True
 
@@ -55,7 +55,7 @@ class Unread(Kind):
 
 @dataclass(frozen=True, slots=True)
 class Free(Kind):
-    """Whatever the message's own type allows: a flag, a counter."""
+    """Kind of a field with no bound but the message's own type: a flag, a counter."""
 
     checked = False
 

@@ -1,4 +1,4 @@
-"""Which processes drive, with which arguments; and those processes started, where there is no `ros2 launch`.
+"""Start the processes that drive, with their arguments, where there is no `ros2 launch`.
 
     python -m fsai_nodes.launch simulated_car:=true mission:=autocross        (--show-args lists the arguments)
 
@@ -120,7 +120,7 @@ class Program:
 
 
 def programs(given: Mapping[str, str]) -> list[Program]:
-    """What is to be started by the arguments given. Raises ValueError with one clear line."""
+    """Return what is to be started by the arguments given. Raises ValueError with one clear line."""
     known = {each.name: each for each in arguments()}
     wrong = misspelt(given, known)
     if wrong:

@@ -1,6 +1,6 @@
-"""What depends on rclpy's version, and what rclpy does not tell: all of it is here.
+"""Dependence on rclpy's version, and on what rclpy does not tell: all of it is here.
 
-Written for rclpy 7 (Jazzy) and 3 (Humble), which is told by what it lacks. rclpy gives a callback no word of who sent
+Written for rclpy 7 (Jazzy) and 3 (Humble), which is told by what it lacks. rclpy does not tell a callback the sender of
 a message; the middleware knows it (the GID of the publisher), and `Taker` asks for it where the C libraries are laid
 out as expected. Where they are not, nothing is lost but the name.
 """

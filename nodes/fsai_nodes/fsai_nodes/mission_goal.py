@@ -1,4 +1,4 @@
-"""What a /run_mission goal waits for, as a table; pure."""
+"""Steps that a /run_mission goal waits for, as a table; pure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MISSIONS: Mapping[str, Ami] = MappingProxyType({ami.name.lower(): ami for ami in
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """How it ended: `ended` for programs, `message` for people."""
+    """End of a goal: `ended` for programs, `message` for people."""
 
     success: bool
     ended: str

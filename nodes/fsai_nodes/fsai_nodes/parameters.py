@@ -89,7 +89,7 @@ class NodeParameter:
 
 
 def of_the_file(node: str, note: str = "", *, live: bool = False) -> tuple[NodeParameter, ...]:
-    """Those of the node's parameters that the configuration file has, too: what they are stands in its KEYS.
+    """Return those of the node's parameters that the configuration file has, too: its KEYS describe them.
 
     note: a sentence more for each.
     """
@@ -187,7 +187,7 @@ class _UnknownParameter(ParameterNotDeclaredException):  # type: ignore[misc]  #
 
 
 def misspelt(given: Iterable[str], known: Iterable[str]) -> str:
-    """Which of the names `given` are nearly one of `known`, and which; empty where all are right, or quite others."""
+    """Say which of the names `given` are nearly one of `known`, and which; empty where all are right, or quite others."""
     known = list(known)
     close = {name: get_close_matches(name, known, n=1) for name in given if name not in known}
     return "; ".join(f"unknown argument {name}: did you mean {meant[0]}?" for name, meant in close.items() if meant)

@@ -50,7 +50,7 @@ class TopicRecorder(Listener):
 
     @property
     def topics(self) -> list[str]:
-        """Those that are being recorded."""
+        """Topics that are being recorded."""
         return sorted(self._subscriptions)
 
     def start(self) -> None:

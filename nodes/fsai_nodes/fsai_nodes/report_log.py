@@ -1,4 +1,4 @@
-"""What the bridge has to say that is new: its reports turned into lines for the log. Pure."""
+"""News of the bridge: its reports turned into lines for the log. Pure."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ReportLine:
 
 
 class Culprit:
-    """Which node a stale vehicle command is missing; the core knows only for how long."""
+    """Finder of the node that a stale vehicle command is missing; the core knows only for how long."""
 
     def __init__(self) -> None:
         self._seen: tuple[int, str | None] = 0, None

@@ -359,7 +359,7 @@ class VcuBridge(LifecycleNode):
             self._on_refused_command(self._door.refuse(came.topic, came.sender, words))
 
     def _is_the_runs(self, message: VehicleCommand, came: Message, now_ns: int) -> bool:
-        """Whether the command is of the one publisher whose commands the run takes."""
+        """Return true where the command is of the one publisher whose commands the run takes."""
         run = self._last_run
         if run is None or message.run_id != run.run_id:
             return True  # it counts as none, and the loop says so
@@ -378,7 +378,7 @@ class VcuBridge(LifecycleNode):
         self._refused_command = words
 
     def _whose_silence(self) -> str:
-        """Which input is missing, in words, where the vehicle command is stale."""
+        """Say in words which input is missing where the vehicle command is stale."""
         now_ns = self._clocks.now_ns()
         silence = self._commands.silence(now_ns) or self._note
         return silence or self._commands.old_data() or "commands come, but late or refused"

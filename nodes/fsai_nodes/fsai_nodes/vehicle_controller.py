@@ -154,7 +154,7 @@ class VehicleController(Node):
         self._command.publish(message)
 
     def _late_input(self, sensor_ns: int, now_ns: int, *, stuck: bool) -> str:
-        """Whose silence makes the data behind a command old, or leaves the controller `stuck`; else empty."""
+        """Say whose silence makes the data behind a command old, or leaves the controller `stuck`; else ''."""
         old = now_ns - sensor_ns >= LATE_NS
         if old and (self._plan is None or sensor_ns != self._plan.t_sensor_ns):
             return self._states.late(now_ns)
