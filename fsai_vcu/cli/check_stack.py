@@ -90,8 +90,8 @@ def listen(node: Any, stack: StackWatch) -> None:
 
 
 def by_clock(node: Any, names: Collection[str]) -> dict[str, bool]:
-    """Tell for each of these nodes whether it goes by /clock (its parameter use_sim_time); nodes that do not answer are
-    left out.
+    """Tell of each node whether it goes by /clock (its parameter use_sim_time); a node that does not answer is left
+    out.
     """
     import rclpy
     from rcl_interfaces.srv import GetParameters

@@ -99,8 +99,9 @@ def metavar_of(action: argparse.Action) -> str:
 
 
 def words_of(action: argparse.Action) -> tuple[str, ...] | None:
-    """Return the words that an argument takes: its choices, or, where the parser leaves them to the code behind it,
-    those that its name stands for; None: any word.
+    """Return the words that an argument takes: its choices, or those that its name stands for; None: any word.
+
+    A name stands for words where the parser leaves the choice to the code behind it.
     """
     if action.choices is not None:
         return tuple(map(str, action.choices))

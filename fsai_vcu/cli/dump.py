@@ -174,7 +174,7 @@ class _Lines:
         return b"".join(both)
 
     def _screen_lines(self, frames: Frames) -> list[bytes]:
-        """As candump shows them; padded to one width where signals stand beside."""
+        """Return the lines as candump shows them, padded to one width where signals stand beside."""
         lines = []
         width, digits = max(map(len, frames.channels)), _TIME_DIGITS.get(self._args.times)
         for frame in frames:
@@ -187,7 +187,7 @@ class _Lines:
         return [line.ljust(padded) for line in lines]
 
     def _shifted(self, frames: Frames) -> Frames:
-        """With the times that -t asks for; like candump's, none goes below zero."""
+        """Return the frames with the times that -t asks for; like candump's, none goes below zero."""
         import numpy as np
 
         style = self._args.times

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _give(keystore: Path) -> str:
-    """Each key to who uses it, and nobody else; why that could not be done, or ''.
+    """Give each key to its users, and to nobody else; return why that could not be done, or ''.
 
     The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's.
     """
@@ -102,7 +102,9 @@ def _give(keystore: Path) -> str:
 
 
 def _find_tool() -> _Tool | None:
-    """None where there is no `ros2 security`. sudo has a PATH of its own, so the usual place is looked at, too."""
+    """Find `ros2 security`; None where there is none. sudo has a PATH of its own, so this looks at the usual place,
+    too.
+    """
     ros2 = shutil.which("ros2") or shutil.which("ros2", path=_DISTRIBUTION / "bin")
     if ros2 is None:
         return None

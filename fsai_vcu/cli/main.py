@@ -148,7 +148,7 @@ def _named(arguments: Sequence[str]) -> str:
 
 @contextmanager
 def printable_output() -> Iterator[None]:
-    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it."""
+    """Keep whatever is printed from doing more to a terminal than to be seen, whoever gave the name in it."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in streams)
     try:

@@ -138,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _noted(chunks: Iterator[Frames], read: list[Frames]) -> Iterator[Frames]:
-    """The same, each of them added to `read`."""
+    """Yield the same chunks, and add each of them to `read`."""
     for frames in chunks:
         read.append(frames)
         yield frames
@@ -147,7 +147,7 @@ def _noted(chunks: Iterator[Frames], read: list[Frames]) -> Iterator[Frames]:
 def _show(
     source: Source, every_s: float, patterns: list[str], args: argparse.Namespace, *, drawn: bool, still: bool = False
 ) -> int:
-    """Drawn, or printed once as it stands still, or in lines. The exit status of that."""
+    """Show the source drawn, or printed once as it stands still, or in lines, and return the exit status."""
     if drawn:
         return _draw(source, every_s, patterns)
     if still:
@@ -187,7 +187,7 @@ def _draw(source: Source, every_s: float, patterns: list[str]) -> int:
 
 
 def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> None:
-    """Once, as lines that stay, at most so many."""
+    """Print the moment once, as lines that stay, at most so many."""
     from rich.console import Console
 
     from fsai_vcu.diagnostics.monitor.drawing import head, overview

@@ -150,7 +150,9 @@ def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
 
 
 def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argparse.Namespace) -> None:
-    """Until a bus is over. The picture is made as often as somebody looks, the story of the run once a second."""
+    """Show the source until its bus is over. The picture is made as often as somebody looks, the story of the run once
+    a second.
+    """
     from fsai_vcu.diagnostics.monitor.sources import Log
     from fsai_vcu.diagnostics.page.board import events_of, state_of
     from fsai_vcu.diagnostics.page.trace import Trace

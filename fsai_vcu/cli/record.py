@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _as_configured(path: Path, interface: str | None) -> int:
-    """Record as the service does. interface: instead of the configuration's."""
+    """Record as the service does. interface: replaces the configuration's."""
     configuration = read_configuration(path)
     for line in configuration.limits_described():
         print(f"operational limits: {line}", file=sys.stderr, flush=True)
@@ -181,7 +181,7 @@ def _begun(
 
 
 def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, asked: list[int]) -> None:
-    """Until the time is up or the end is asked for."""
+    """Record until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
     told = 0  # of the frames that were lost
     while not asked and time.monotonic_ns() < until_ns:

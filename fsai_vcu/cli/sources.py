@@ -48,7 +48,7 @@ _PROGRESS_S = 1.0
 
 
 def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
-    """Several logs, or folders of them, count as one log: the segments of a recording."""
+    """Add the argument for sources: several logs, or folders of them, count as one log (the segments of a recording)."""
     parser.add_argument(
         name,
         nargs="+",
@@ -136,7 +136,7 @@ def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
 
 
 def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
-    """`revision`: the one that counts where none is named; None: the frames tell."""
+    """Add --dbc and --revision. `revision`: the revision that counts where none is named; None: the frames tell."""
     parser.add_argument(
         "--dbc",
         action="append",
@@ -156,7 +156,7 @@ class Decoding:
     """
 
     def __init__(self, verb: str, args: argparse.Namespace) -> None:
-        """Raises UserError."""
+        """Read the arguments. Raises UserError."""
         self._verb = verb
         self._args = args
         self._files: Sequence[Path] = args.dbc
@@ -174,18 +174,18 @@ class Decoding:
 
     @cached_property
     def databases(self) -> Databases:
-        """By what is known so far: others once frames have told more."""
+        """Databases by what is known so far: others once frames have told more."""
         databases = load_databases(self._files, self.revision)
         return databases if self._shown is None else databases.with_signals(self._shown)
 
     @cached_property
     def decoder(self) -> Decoder:
-        """With the databases of now."""
+        """Decoder with the present databases."""
         return Decoder(self.databases)
 
     @cached_property
     def writer(self) -> LineWriter:
-        """Prints as --json and --numbers ask for, with the decoder of now."""
+        """Writer that prints as --json and --numbers ask for, with the present decoder."""
         args = self._args
         short = getattr(args, "short", False)
         rounded = self._verb == "dump" and not args.json  # decode's lines are cantools' to the last byte
@@ -209,7 +209,7 @@ class Decoding:
         return patterns
 
     def show_signals(self, names: str | None) -> None:
-        """From now on only these signals, by name or pattern, and the messages that have them. Raises UserError."""
+        """Show only these signals from now on, by name or pattern, and the messages that have them. Raises UserError."""
         if names is None:
             return
         self._shown = tuple(self.patterns(names))
@@ -253,7 +253,7 @@ class LogRead(NamedTuple):
     notes: str
 
     def line(self) -> str:
-        """For a person."""
+        """Line on the log, for a person."""
         read = f"{self.kind}, {self.frames} frames" if self.frames else "no frames in it"
         if self.problems and not self.frames:
             read = "nothing could be read"
@@ -280,10 +280,10 @@ class Sources:
         part: Part | None = None,
         each: Callable[[LogRead], None] | None = None,
     ) -> None:
-        """names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each:
-        gets what was read of each of several logs, and nothing of it is said on stderr.
+        """Open the sources. Raises UserError.
 
-        Raises UserError.
+        names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each: gets what
+        was read of each of several logs, and nothing of it is said on stderr.
         """
         self.verb = verb
         self.status = 0
@@ -357,7 +357,7 @@ class Sources:
             part.ends_at(max(ends_ns))
 
     def check_output(self, path: Path) -> None:
-        """Raises WrongUse where a log would be written over with what is made of it."""
+        """Raise WrongUse where a log would be written over with what is made of it."""
         if path.is_file() and any(Path(name).is_file() and path.samefile(name) for name, _ in self._rules):
             raise WrongUse(f"{path} is the log that is read: it would be written over")
 
@@ -454,7 +454,7 @@ def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def check_seconds(args: argparse.Namespace) -> None:
-    """Raises WrongUse."""
+    """Raise WrongUse where --seconds is not a time."""
     if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
@@ -468,7 +468,7 @@ def add_server_arguments(parser: argparse.ArgumentParser, port: int) -> None:
 
 
 def check_server(args: argparse.Namespace) -> None:
-    """Raises WrongUse."""
+    """Raise WrongUse where the port, or the time, cannot be."""
     if not 0 <= args.port < 65536:
         raise WrongUse(f"--port is {args.port}, but must be 0 to 65535")
     check_seconds(args)
@@ -499,9 +499,7 @@ class Progress:
 
 
 def _first_stamp(path: Path) -> tuple[int, str]:
-    """Return when a log begins (ns), and its name; a log that cannot be read comes last, and is reported when it is
-    opened.
-    """
+    """Return when a log begins (ns), and its name. A log that cannot be read comes last; its opening reports that."""
     try:
         with open_log(str(path)) as log:
             return next((frame.t_ns for frame in log.frames()), 1 << 63), path.name
@@ -541,7 +539,7 @@ def _beside_logs(path: Path) -> bool:
 
 
 def _log_like(path: Path) -> bool:
-    """By its name; of tables and other texts those that are of a bus."""
+    """Tell by its name whether a file may be a log; tables and other texts are looked into."""
     suffixes = {suffix.lower() for suffix in path.suffixes}
     if suffixes & _MAY_BE_LOGS and not suffixes & LOG_SUFFIXES:
         try:
@@ -553,7 +551,7 @@ def _log_like(path: Path) -> bool:
 
 
 def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
-    """Raises UserError for what can be no name of a file: it is too long."""
+    """Return whether the condition holds for a file of that name; raise UserError for a name that is too long for one."""
     try:
         return condition(Path(name))
     except OSError as error:
@@ -561,7 +559,7 @@ def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
 
 
 def _is_log(name: str) -> bool:
-    """An interface is what is no file and does not look like one: can0, vcan0, loopback:NAME."""
+    """Tell a log from an interface, which is no file and does not look like one: can0, vcan0, loopback:NAME."""
     path = Path(name)
     if name == "-" or _holds(name, Path.exists):
         return True
@@ -569,7 +567,7 @@ def _is_log(name: str) -> bool:
 
 
 def write_out(block: bytes | bytearray) -> None:
-    """To standard output, at once. What it cannot take is reported by `main`."""
+    """Write the block to standard output, at once. What it cannot take is reported by `main`."""
     sys.stdout.flush()
     left = memoryview(block)
     while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only

@@ -162,9 +162,7 @@ class Bridge:
         self._vehicle_news[VEHICLE_FIELD_OF[kind]] = image
 
     def _on_speeds(self, speeds: WheelSpeeds) -> bool:
-        """Take in a frame of 0x525 and return whether it counts: a frame that is not believed is treated as if it never
-        came.
-        """
+        """Take in a frame of 0x525 and return whether it counts: one not believed is treated as if it never came."""
         state = self._state
         belief, doubt = wheel_speeds.on_speeds(self._config, state.belief, speeds)
         supervising = state.supervisor
@@ -432,7 +430,7 @@ class Bridge:
             self._state = replace(self._state, last_complete_ns=now_ns)
 
     def _listening(self, now_ns: int) -> bool:
-        """On start a process listens, then sends."""
+        """Return true while a process that has just started listens before it sends."""
         since_ns = self._state.listening_since_ns
         return since_ns is None or now_ns - since_ns < self._config.listen_first_ns
 

@@ -1,5 +1,6 @@
-"""Counts that the bridge keeps for its report: nothing that is sent depends on them, so they are no part of the
-bridge's state.
+"""Counts that the bridge keeps for its report.
+
+Nothing that is sent depends on them, so they are no part of the bridge's state.
 """
 
 from __future__ import annotations

@@ -228,7 +228,7 @@ _THEIRS: Final[Mapping[str, str]] = {
     ),
     "handshake": "look at the load of your AI computer and of the bus, and at its log",
 }
-"""The same where the AI computer's frames are not this software's."""
+"""Remedies in the same form where the AI computer's frames are not this software's."""
 
 
 def remedy_of(slug: str, *, theirs: bool = False) -> str:

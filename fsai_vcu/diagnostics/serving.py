@@ -91,7 +91,7 @@ class Server:
         self.loop.close()
 
     def check(self) -> None:
-        """Raises UserError where nobody listens any more."""
+        """Raise UserError where nobody listens any more."""
         if not self._ended and not self._thread.is_alive():
             raise UserError(f"nobody listens on {self.url} any more: {self._failed or 'its thread has ended'}")
 
@@ -176,7 +176,7 @@ class Connection(web.RequestHandler):
         super().connection_lost(exc)
 
     def wait(self, patience_s: float | None) -> None:
-        """From now on so long; None: as long as it takes."""
+        """Wait so long from now on; None: as long as it takes."""
         if self._timer is not None:
             self._timer.cancel()
         transport = self.transport
@@ -192,7 +192,7 @@ class Connection(web.RequestHandler):
 
 
 def begun(response: web.StreamResponse, kind: str) -> web.StreamResponse:
-    """With what every answer has."""
+    """Give the response what every answer has."""
     response.headers.update({"Content-Type": f"{kind}; charset=utf-8", **HEADERS})
     response.force_close()
     return response

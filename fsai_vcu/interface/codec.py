@@ -1,4 +1,4 @@
-"""Between frames and images, both ways.
+"""Codec between frames and images, both ways.
 
 The layout of every message comes from the loaded signal database and from nowhere else. A payload becomes raw numbers
 (`_by_position`), and each of them the value of a field (`Slot`); encoding goes the same way back. Most frames of a bus
@@ -121,7 +121,7 @@ class Codec:
         return cast("tuple[Frame, Frame, Frame, Frame, Frame]", tuple(frames))
 
     def mask(self, message: type[Image], *names: str) -> int:
-        """Return where the signals of these fields are in a payload, as a little-endian number; 0 where there are none."""
+        """Return where these fields' signals are in a payload, as a little-endian number; 0 where there are none."""
         slots = self._layouts[message].slots if message in self._layouts else []
         return sum(slot.ones << slot.signal.start for slot in slots if slot.field.name in names)
 
@@ -249,7 +249,8 @@ def _remember(known: dict[Any, Any], key: Any, found: Any) -> None:
 
 
 def _by_position(message: Message, signals: Sequence[Signal]) -> tuple[Callable[..., Any], Callable[..., bytes]]:
-    """From a payload to the raw numbers of these signals, the last in the frame first, and back: other bits are 0.
+    """Return functions from a payload to the raw numbers of these signals, the last in the frame first, and back: other
+    bits are 0.
 
     Payloads are read and made from their end, so that little-endian signals are whole. Messages that this cannot do are
     left to cantools: big-endian ones, and multiplexed ones, where a signal that a frame does not carry is None.

@@ -160,7 +160,7 @@ def _check_texts(path: Path, *texts: object) -> None:
 
 
 def is_modest(text: str) -> bool:
-    """Return true where the parser's work on a DBC file is bounded: in others small texts can name millions of values."""
+    """Return true where the parser's work on a DBC file is bounded: small texts can name millions of values."""
     if len(text) > _MODEST_CHARACTERS or _IMMODEST.search(text):
         return False
     return sum(1 for _ in _MULTIPLEXED.finditer(text)) <= 500
@@ -171,7 +171,7 @@ def _too_large(digits: str, most: int) -> bool:
 
 
 def make_flags_unsigned(database: Database) -> None:
-    """One-bit signals become 0 and 1, whatever their sign."""
+    """Make one-bit signals 0 and 1, whatever their sign."""
     for message in database.messages:
         for signal in message.signals:
             if signal.length == 1 and signal.is_signed:

@@ -128,7 +128,7 @@ class AiCommand(Value, frozen=True):
 COMMAND_FIELDS: Final[Mapping[type[AiImage], Mapping[str, str]]] = {
     message: {one.name: one.command or one.name for one in fields_of(message)} for message in get_args(AiImage)
 }
-"""For each message of the AI computer, in sending order: its fields and those of AiCommand."""
+"""Fields of each message of the AI computer, in sending order, and those of AiCommand."""
 
 
 def command_of(images: Mapping[type, AiImage]) -> AiCommand:
@@ -166,7 +166,7 @@ class Faults(Value, frozen=True):
 
 
 FAULT_NAMES: Final[Mapping[str, str]] = {one.name: one.signal for one in fields_of(Faults)}
-"""For each field of Faults the databases' name, which is also the one for people."""
+"""Databases' name for each field of Faults, which is also the name for people."""
 
 
 class VcuStatus(Message, frozen=True):

@@ -1,4 +1,4 @@
-"""Between the raw number of a signal and the value of a field, both ways."""
+"""Slots between the raw number of a signal and the value of a field, both ways."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Slot:
             self.read = _Table({int(member): member for member in members}, self._unknown).__getitem__
 
     def read_if_said(self, raw: float | None) -> Any:
-        """As `read`, in a message that does not always carry the signal: its raw number is None then."""
+        """Read as `read`, in a message that does not always carry the signal: its raw number is None then."""
         if raw is not None:
             return self.read(raw)
         return Refuse.FRAME if self.field.absent is None else self.field.default

@@ -109,9 +109,9 @@ class CanBus:
         return frames
 
     def recv_stamped(self, timeout_s: float, *, bus_off_is_lost: bool = True) -> tuple[Frame, int] | None:
-        """As `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs.
+        """Receive as `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs.
 
-        Whoever only listens may take a bus-off for the error frame that it is: `bus_off_is_lost=False`.
+        A caller that only listens may take a bus-off for the error frame that it is: `bus_off_is_lost=False`.
         """
         taken = self._taken(timeout_s)
         now_ns = self._observe()

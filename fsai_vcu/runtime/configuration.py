@@ -308,7 +308,7 @@ def read_configuration(path: Path | str) -> Configuration:
 
 
 def parse_configuration(text: str, path: Path) -> Configuration:
-    """As `read_configuration`, of a text as if from `path`."""
+    """Read the configuration as `read_configuration`, of a text as if from `path`."""
     try:
         document = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
@@ -357,8 +357,7 @@ def parse_configuration(text: str, path: Path) -> Configuration:
 
 
 def usual_environment(environ: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return what a command of the operator's needs besides `environ` to reach the car's nodes: nothing without the
-    file.
+    """Return what an operator's command needs besides `environ` to reach the car's nodes: nothing without the file.
 
     What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of. Raises
     ConfigurationError where this user may not read it: the car's nodes would be looked for in the wrong place.

@@ -95,7 +95,7 @@ class Ask(Value, frozen=True, tag=True):
 
 
 class Answer(Value, frozen=True, tag=True):
-    """To the request of that number."""
+    """Answer to the request of that number."""
 
     number: Count
     accepted: bool

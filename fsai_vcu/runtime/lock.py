@@ -1,4 +1,4 @@
-"""One bridge per interface: an exclusive lock that the kernel drops with the process, however it dies."""
+"""Lock of an interface for one bridge: exclusive, and dropped by the kernel with the process, however it dies."""
 
 from __future__ import annotations
 
@@ -55,7 +55,10 @@ class InterfaceLock:
     """
 
     def __init__(self, spec: str, *, polite: bool = False) -> None:
-        """polite: anybody's hold is respected; for what can wait, and does not keep the car from being driven."""
+        """Take the lock.
+
+        polite: it respects anybody's hold; for a process that can wait, and does not keep the car from being driven.
+        """
         address = _address(spec)
         try:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)

@@ -58,9 +58,9 @@ class BridgeLoop:
         self._cycles = 0
 
     def run(self, number: int) -> None:
-        """Until the end. An exception is reported to the edge and ends it; nothing is raised.
+        """Run until the end. An exception is reported to the edge and ends the loop; nothing is raised.
 
-        number: of the request to run, which is answered once it does.
+        number: of the request to run, which is answered once the loop runs.
         """
         try:
             if self._settings.real_time:
@@ -170,7 +170,7 @@ class BridgeLoop:
         self._link.send(LoopReport(report, turns.reopened, turns.deadline_misses, self._refused, self._link.trouble))
 
     def _last_words(self, why: str) -> None:
-        """One attempt at an emergency request after a failure of the loop itself."""
+        """Make one attempt at an emergency request after a failure of the loop itself."""
         try:
             for frame in self._turns.failed(why, time.monotonic_ns()):
                 if self._bus is not None:

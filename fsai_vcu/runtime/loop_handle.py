@@ -53,7 +53,10 @@ class LoopHandle:
     """The loop at the far end of a link. For one thread."""
 
     def __init__(self, end: Lanes, process: subprocess.Popen[bytes] | None = None) -> None:
-        """process: the one that has the other end; `start_loop_process` makes both."""
+        """Hold the near end of the link.
+
+        process: the process that has the other end; `start_loop_process` makes both.
+        """
         self._link = LinkEnd(end)
         self._process = process
         self._newest: LoopReport | None = None
@@ -132,7 +135,7 @@ class LoopHandle:
         return self._link.refusal
 
     def alive(self) -> None:
-        """To be called once a second: where nobody does, systemd's watchdog starts edge and loop again."""
+        """Tell the loop that the edge lives, once a second: without it systemd's watchdog starts edge and loop again."""
         self._link.send(Alive())
 
     def confirm_reset(self, role: str, run_id: int) -> str:
@@ -198,7 +201,7 @@ class LoopHandle:
 
     @property
     def silent(self) -> bool:
-        """Return true while the loop should report and does not. An edge that was held up itself does not know it yet."""
+        """Return true while the loop should report and does not. An edge that was held up itself cannot know yet."""
         reported_ns = self.loop_report().bridge.t_ns
         return self._active and time.monotonic_ns() - max(reported_ns, self._reads_since_ns) >= LOOP_SILENT_NS
 
@@ -249,7 +252,7 @@ class LoopHandle:
         return "it has closed its link"
 
     def _await(self, condition: Callable[[], bool], timeout_s: float) -> None:
-        """Until the condition holds, the link ends or the time is over."""
+        """Wait until the condition holds, the link ends or the time is over."""
         until = time.monotonic() + timeout_s
         while True:
             self._take()

@@ -26,7 +26,7 @@ logger = logging.getLogger("fsai_vcu.runtime.loop_process")  # started as a prog
 
 
 def serve(link: LinkEnd) -> None:
-    """Everything between the settings and the end of the link."""
+    """Serve the edge from the settings to the end of the link."""
     settings: LoopSettings | None = None
     codec: Codec | None = None
     while not link.closed:

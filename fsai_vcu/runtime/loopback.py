@@ -93,7 +93,7 @@ class LoopbackBus(can.BusABC):
                 return message, False
 
     def _message_of(self, datagram: bytes) -> can.Message | None:
-        """None for one's own frames and for anything that is not a frame."""
+        """Return the message in a datagram; None for this bus's own frames and for anything that is not a frame."""
         if len(datagram) < _HEADER.size:
             return None
         magic, sender, timestamp, word, length = _HEADER.unpack_from(datagram)

@@ -117,9 +117,9 @@ class Turns:
             self._judge(self._pacing.due_ns(), now_ns)
 
     def on_frames(self, frames: Sequence[Frame], now_ns: int) -> None:
-        """Everything that waited on the bus at `now_ns`, oldest first: all of it is received before the next answer.
+        """Take in everything that waited on the bus at `now_ns`, oldest first, before the next answer.
 
-        `t_ns` of each is when the kernel received it: what has waited is as old as it is, and a backlog is named.
+        `t_ns` of each frame is when the kernel received it: what has waited is as old as it is, and a backlog is named.
         """
         receive = self._bridge.on_frame
         for frame in frames:
@@ -130,7 +130,7 @@ class Turns:
             self._bridge.backlog(now_ns - frames[0].t_ns, now_ns)
 
     def on_edge(self, messages: Iterable[Message] | None, now_ns: int) -> list[Action]:
-        """Take in what the edge has sent, read by `now_ns`; None once it is gone. Of several commands the newest counts.
+        """Take in what the edge has sent, read by `now_ns`; None once the edge is gone. The newest of several commands counts.
 
         A silent edge's commands get old, and so do those of an edge that is gone: the table of reactions stops the car.
         When that is over there is nothing left to do.
@@ -159,9 +159,7 @@ class Turns:
         return actions
 
     def answer(self, ask: Ask, now_ns: int) -> tuple[Action, ...]:
-        """Answer the edge: what is not answered in time is not done later behind the asker's back, unless it is better
-        late.
-        """
+        """Answer the edge: what is late is not done behind the asker's back, unless it is better late."""
         if ask.what == "deactivate":  # answered after the end
             self.stop_number = ask.number
             self._begin_stop(now_ns)

@@ -286,11 +286,10 @@ class Controller:
         )
 
     def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
-        """Predict where (m) the rear axle will be and where it will move to (rad) when the steering answers, in the
-        vehicle frame of `there`, and how far (m) it moves from now until then.
+        """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance from now until then (m).
 
-        The steering has been told what the car will do until then. Tyres slip, so the axle moves further outward than
-        the car points.
+        All are in the vehicle frame of `there`. The steering has been told what the car will do until then. Tyres slip, so
+        the axle moves further outward than the car points.
         """
         delay_s = self._settings.delay_s + self._settings.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
         t_s = min(now_ns - motion.t_ns, CARRIED_NS) / 1e9 + delay_s
@@ -329,8 +328,7 @@ class Controller:
         self._steering_rad = self._within(road + self._taken_up_rad)
 
     def _accelerate(self, line: Line, here_m: float, speed: float, most: float, now_ns: int) -> tuple[float, float]:
-        """Throttle and brake for the acceleration, `most` (m/s2) at most, that meets the profile a moment ahead, of
-        bounded jerk."""
+        """Return throttle and brake that meet the profile a moment ahead: of bounded jerk, `most` (m/s2) at most."""
         settings = self._settings
         assert self._profile is not None
         later = speed + self._acceleration_mps2 * settings.reaction_s

@@ -86,8 +86,11 @@ def steering_rate(
 
 @cache
 def _gains(speed_mps: float) -> Floats:
-    """(3 + HORIZON_STEPS,) by which the first change of curvature follows from the deviation to the left (m), the
-    course (rad) and the curvature (1/m) of now, and from the line's curvature (1/m) in each step."""
+    """Return the gains (3 + HORIZON_STEPS,) that make the first change of curvature.
+
+    They weigh the deviation to the left (m), the course (rad) and the curvature (1/m) of now, and the line's curvature
+    (1/m) in each step.
+    """
     sums = np.tri(HORIZON_STEPS)
     ones = np.ones((HORIZON_STEPS, 1))
     none = 0.0 * ones

@@ -19,7 +19,7 @@ BRAKING_SHARE_MIN = 0.2  # of the braking, that is left in a corner at the limit
 
 
 def braking_share(sideways: float) -> float:
-    """Return the share of the braking that is left where so much of the lateral grip is used: they share one ellipse."""
+    """Return the share of the braking that is left beside so much of the lateral grip: they share one ellipse."""
     left = 1.0 - sideways * sideways
     return math.sqrt(left) if left > BRAKING_SHARE_MIN**2 else BRAKING_SHARE_MIN
 

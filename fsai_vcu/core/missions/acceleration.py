@@ -34,7 +34,7 @@ class StraightLane(Value, frozen=True, eq=False):
     found: bool = False
 
     def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """As `registration.Borders`."""
+        """Distance to the lane's borders, as `registration.Borders`."""
         return np.abs(y) - self.half_width_m, np.zeros_like(x), np.where(y < 0.0, -1.0, 1.0)
 
     def off(self, xy_m: Floats) -> Floats:
@@ -78,9 +78,7 @@ def _searched(lane: StraightLane, pose: Floats, xy_m: Floats) -> tuple[float, Fl
 
 
 def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
-    """Return where along the lane (m) the finish is: between the big orange cones seen (lane frame), if both sides have
-    some.
-    """
+    """Return where along the lane (m) the finish is: amid big orange cones (lane frame) that stand on both sides."""
     of_finish = np.abs(big_orange_m - (finish_m, 0.0)) < (FINISH_GATE_M, GATE_WIDEST_M)
     gate = big_orange_m[of_finish.all(axis=1)]
     both_sides = (gate[:, 1] > 0.0).any() and (gate[:, 1] < 0.0).any()
@@ -88,8 +86,6 @@ def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
 
 
 def closed_at(after_m: float, cones_m: Floats) -> float | None:
-    """Return where along the lane (m) cones (lane frame) close it further on, or None: there is an end to every exit
-    lane.
-    """
+    """Return where along the lane (m) cones (lane frame) close it, or None: there is an end to every exit lane."""
     wall = cones_m[(np.abs(cones_m[:, 1]) < IN_THE_WAY_M) & (cones_m[:, 0] > after_m), 0]
     return float(wall.min()) if len(wall) else None

@@ -138,8 +138,7 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
 
 
 class Circling:
-    """Detector of a car that drives a way again that it has driven since it last passed the line: no course has such a
-    way.
+    """Detector of a car that repeats a way driven since it last passed the line: no course has such a way.
 
     Where the lane was lost, a way round a hairpin's inside or round an island of cones may look like a lane for ever.
     """

@@ -54,7 +54,7 @@ class SkidpadCourse(Value, frozen=True):
         return self.laps * self.lap_m
 
     def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """As `registration.Borders`: the two circles on the point's own side, or the lane in and out."""
+        """Distance to the borders, as `registration.Borders`:"""
         left = np.abs(y)
         out = left - self.radius_m
         reach = np.maximum(np.sqrt(x * x + out * out), 1e-6)

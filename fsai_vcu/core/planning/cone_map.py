@@ -84,8 +84,9 @@ class ConeMap:
 
     @property
     def _established(self) -> Bools:
-        """Select the cones that tell where the car is: a car that begins to be lost puts new ones where it thinks to
-        see them.
+        """Select the cones that tell where the car is.
+
+        A car that begins to be lost puts new cones where it thinks to see them.
         """
         return self._believed & (self._cones["first_m"] < self.here.distance_m - RECENT_M)
 
@@ -315,7 +316,7 @@ def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats
 
 
 def fit_of(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> float:
-    """Return how well the cones seen from `here` agree with the known ones: 1 all and exactly, 0 none (or none seen)."""
+    """Return how well the cones seen from `here` fit the known ones: 1 all and exactly, 0 none (or none seen)."""
     if not len(seen_xy_m) or not len(fixed_xy_m):
         return 0.0
     gap = gaps(to_odometry(here, seen_xy_m), fixed_xy_m).min(axis=1)

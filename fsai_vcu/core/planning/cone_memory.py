@@ -165,7 +165,7 @@ class ConeMemory:
         return Cones(here, color.astype(np.int64), side, index)
 
     def sure(self, index: Ints) -> Bools:
-        """Select those of these cones that most looks at their place find: two false ones may have stood at one place."""
+        """Select those of these cones that most looks at their place find: two false ones may have been there."""
         hits, misses = self._cones["hits"][index], self._cones["misses"][index]
         return np.asarray((hits > self._settings.hits_to_believe) & (hits > 2.0 * misses))
 

@@ -1,4 +1,4 @@
-"""From cones around the car to the middle of the lane, with colours or without.
+"""Lane finder: from cones around the car to the middle of the lane, with colours or without.
 
 First a beam search tries chains of short arcs forward, from the car, or from as far ahead as the cones bear out the
 middle that the last look found. A chain is good when cones stand to its left and
@@ -166,8 +166,9 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
 
 
 def _first_gap_m(along: Floats, settings: PlannerSettings) -> float:
-    """Return how far ahead (m) the first cones may be, of borders with cones at these places along the car's way, from
-    BACKWARD_M behind the car on.
+    """Return how far ahead (m) the first cones of borders may be that have cones at these places along the car's way.
+
+    The places begin BACKWARD_M behind the car.
     """
     return settings.border_gap_max_m if np.count_nonzero(along <= 0.0) else max(FIRST_GAP_M, settings.border_gap_max_m)
 
@@ -454,7 +455,7 @@ def _bell(settings: PlannerSettings) -> tuple[Floats, Ints]:
 
 
 def _smoothed(line: Floats, settings: PlannerSettings) -> Floats:
-    """Averaged with a bell of `smoothing_m`, ends carried on straight."""
+    """Return the line averaged with a bell of `smoothing_m`, ends carried on straight."""
     bell, steps = _bell(settings)
     before = line[0] - steps * (line[1] - line[0])
     after = line[-1] + steps[::-1] * (line[-1] - line[-2])
@@ -482,7 +483,7 @@ def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
 
 
 def _moved_left(line: Floats, by_m: Floats, cos: Floats, sin: Floats) -> Floats:
-    """Each point moved sideways to the direction in which the line runs there."""
+    """Return the line with each point moved sideways to the direction in which the line runs there."""
     moved = np.empty_like(line)
     moved[:, 0], moved[:, 1] = line[:, 0] - by_m * sin, line[:, 1] + by_m * cos
     return moved

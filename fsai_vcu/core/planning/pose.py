@@ -79,7 +79,7 @@ def headings_along(path_m: Floats) -> tuple[Floats, Floats]:
 
 
 def within(value: Floats, most: float) -> Floats:
-    """Each value, but none beyond `most` to either side. (A third of the time of numpy's clip.)"""
+    """Return each value, but none beyond `most` to either side. (A third of the time of numpy's clip.)"""
     return np.minimum(np.maximum(value, -most), most)
 
 

@@ -104,7 +104,7 @@ class LineSearch:
 
 
 def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:
-    """Return true where the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
+    """Return true where the car's body passes each cone (frame of the path) by that cone's `beside_m` at least."""
     cos, sin = headings_along(path_m)
     dx = cones_xy_m[:, None, 0] - path_m[:, 0]
     dy = cones_xy_m[:, None, 1] - path_m[:, 1]

@@ -1,4 +1,4 @@
-"""Skidpad: a figure of eight known by the rules, found in the cones; until then along the lane in."""
+"""Strategy for the skidpad: a figure of eight known by the rules, found in the cones; until then along the lane in."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 
 class SkidpadStrategy:
-    """Along the figure of eight, found and corrected by what is seen."""
+    """Strategy that drives along the figure of eight, found and corrected by what is seen."""
 
     HORIZON_M = 20.0
     SEARCHED_UNTIL_M = -8.0  # before the crossing, from where on the place found is only tracked

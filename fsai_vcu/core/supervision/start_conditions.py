@@ -90,7 +90,7 @@ class Condition(Value, frozen=True):
     hint: bool = False
 
     def evidence(self, moment: Moment) -> tuple[str, str] | None:
-        """While the condition is not met: the field that shows it (none of history), and its value in words."""
+        """Evidence while the condition is not met: the field that shows it (none of history), and its value in words."""
         if not self.sources:
             return ("", moment.history[self.slug]) if self.slug in moment.history else None
         known = self._known(moment)
@@ -133,7 +133,7 @@ SIGNAL_OF: Final[Mapping[str, str]] = {
     **{f"{name}.{one.name}": one.signal for kind, name in VEHICLE_FIELD_OF.items() for one in fields_of(kind)},
     **{f"command.{names[one.name]}": one.signal for kind, names in COMMAND_FIELDS.items() for one in fields_of(kind)},
 }
-"""For each field of a Moment that a condition may look at: its signal, as the databases call it."""
+"""Signal of each field of a Moment that a condition may look at, as the databases call it."""
 
 
 def fault_names(status: VcuStatus) -> tuple[str, ...]:
@@ -305,7 +305,7 @@ WORDS: Final[Mapping[str, str]] = {
     "braked": "EMERGENCY_BRAKE: wait 15 s, ASMS off, then switch the car off and on",
     "no_go": "waiting for Go",
 }
-"""By slug the words of every condition, and of what an AS state itself waits for."""
+"""Words of every condition, and of what an AS state itself waits for, by slug."""
 
 
 def unmet(moment: Moment, state: AsState) -> tuple[tuple[Condition, str, str, bool], ...]:
@@ -338,9 +338,7 @@ def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str,
 
 
 def why_not_driving(moment: Moment) -> Iterator[Obstacle]:
-    """Yield the obstacles between now and driving, as far as the bus shows them; the one to put right first comes
-    first.
-    """
+    """Yield the obstacles between now and driving that the bus shows, the one to put right first in front."""
     status = moment.vehicle.status
     if not moment.vehicle.status_known:
         yield Obstacle("as_state_unknown", Reason.AS_STATE_UNKNOWN.words)

@@ -155,7 +155,7 @@ class Consequence(IntEnum):
 
 
 class Step(Value, frozen=True):
-    """After an age of `after` (the name of a time in BridgeConfig, None: at once), `consequence`."""
+    """Step of a reaction: after an age of `after` (a time's name in BridgeConfig, None: at once) follows `consequence`."""
 
     after: str | None
     consequence: Consequence
@@ -576,9 +576,9 @@ def valid_command(config: BridgeConfig, state: SupervisorState, inputs: Inputs) 
 
 
 def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs, supervised_ns: int) -> int:
-    """For how long there has been no new command. Data of 500 ms ages like a command of 100 ms.
+    """Return for how long (ns) there has been no new command; data of 500 ms ages like a command of 100 ms.
 
-    What is stale counts on until a cycle has a fresh command, however regularly others on old data come.
+    A stale command counts on until a cycle has a fresh one, however regularly others on old data come.
     """
     age_ns = supervised_ns
     command = inputs.command
@@ -622,8 +622,9 @@ def _unprepared(config: BridgeConfig, state: SupervisorState) -> tuple[Reason, s
 def _stop_ineffective(
     config: BridgeConfig, state: SupervisorState, stop: Latch, now_ns: int
 ) -> tuple[SupervisorState, bool]:
-    """Return the state, and whether a service-brake stop does not work; move the window over which a deceleration must
-    show.
+    """Return the state, and whether a service-brake stop does not work.
+
+    It moves the window over which a deceleration must show.
     """
     fresh = wheels_fresh(config, state, now_ns)
     if fresh and state.fastest_rpm < config.standstill_rpm:
@@ -766,7 +767,7 @@ def acknowledged(state: SupervisorState) -> bool:
 
 
 def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> tuple[SupervisorState, Decision]:
-    """One cycle: what has become of the run by now, and what is to be sent."""
+    """Supervise one cycle: what has become of the run by now, and what is to be sent."""
     now_ns = inputs.now_ns
     hold = True
     reasons: dict[Reason, str] = {}
@@ -817,9 +818,7 @@ def begin_end(config: BridgeConfig, state: SupervisorState, now_ns: int) -> Supe
 
 
 def ending(decision: Decision) -> Decision:
-    """Return the decision of the last cycles before the silence: with NEUTRAL there are zeros, and no mission is
-    acknowledged.
-    """
+    """Return the decision of the last cycles before the silence: with NEUTRAL, zeros and no acknowledged mission."""
     if decision.direction is not Direction.NEUTRAL:
         return decision
     acknowledging = OUTPUT[decision.phase].mission_status is None

@@ -69,14 +69,12 @@ def pulses_of(most_per_s: float, pulses: Pulses, counts: WheelCounts) -> Pulses:
 
 
 def turning(standstill_ns: int, turning_ns: int | None, now_ns: int) -> bool:
-    """Return true where a wheel's count advanced by two or more in the last `standstill_ns`: one may be an edge at
-    rest.
-    """
+    """Return true where a wheel's count advanced by 2 or more in the last `standstill_ns`: 1 may be an edge at rest."""
     return turning_ns is not None and now_ns - turning_ns < standstill_ns
 
 
 NO_PULSES = Pulses()
-"""Before the first frame of 0x526."""
+"""Pulses before the first frame of 0x526."""
 
 
 # ---------------------------------------------------------------- belief

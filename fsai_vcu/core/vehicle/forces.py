@@ -1,4 +1,4 @@
-"""From an acceleration that is wanted to the pedal that gives it, on the level."""
+"""Forces on the level: from an acceleration that is wanted to the pedal that gives it."""
 
 from __future__ import annotations
 

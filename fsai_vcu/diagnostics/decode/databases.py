@@ -54,7 +54,7 @@ class Databases:
     def decoded(
         self, layout: MessageLayout, data: bytes, *, scaling: bool = True, choices: bool = False
     ) -> dict[str, Any]:
-        """One frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
+        """Decode one frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
 
         Raises UndecodableError.
         """
@@ -233,7 +233,9 @@ def _signal_layout(signal: Signal) -> SignalLayout:
 
 
 def _lowest_bit(signal: Signal) -> int:
-    """As in SignalLayout; of a big-endian signal cantools names the highest bit, by its place in its byte."""
+    """Return the lowest bit as in SignalLayout; of a big-endian signal cantools names the highest, by its place in its
+    byte.
+    """
     if signal.byte_order != "big_endian":
         return signal.start
     return 8 * (_MAX_PLAIN_BYTES - 1 - signal.start // 8) + signal.start % 8 - signal.length + 1

@@ -70,7 +70,7 @@ class Decoder:
         self._standard[keys[short]] = np.flatnonzero(short)
 
     def which(self, frames: Frames) -> npt.NDArray[np.int32]:
-        """For each frame the index of its message; -1: in no database, -2: an error or remote frame."""
+        """Return for each frame the index of its message; -1: in no database, -2: an error or remote frame."""
         keys = np.where(frames.flags & EXTENDED, frames.can_id | np.uint32(EXTENDED_KEY), frames.can_id)
         index = np.take(self._standard, keys, mode="clip")
         wide = np.flatnonzero(keys > MAX_STANDARD_ID)

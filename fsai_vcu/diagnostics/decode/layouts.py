@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
 EXTENDED_KEY: Final = 1 << 29
-"""In the key of a message: its identifier is one of 29 bits."""
+"""Mark in the key of a message: its identifier is one of 29 bits."""
 
 
 class SignalLayout(NamedTuple):

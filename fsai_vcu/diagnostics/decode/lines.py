@@ -56,7 +56,7 @@ class LineWriter:
         return self._written(frames, self._heads, self._line)
 
     def tails(self, frames: Frames) -> list[bytes]:
-        """For each frame what it says, to stand behind the frame itself; with the line end."""
+        """Return what each frame says, to stand behind the frame itself; with the line end."""
         return [line + b"\n" for line in bytes(self._written(frames, lambda _: [], self._tail)).split(b"\n")[:-1]]
 
     def _written(
@@ -114,7 +114,7 @@ class LineWriter:
         return [*parts, text.end.encode()]
 
     def _text_of(self, signal: SignalLayout) -> SignalText:
-        """Signals whose values have the same texts share them."""
+        """Return the texts of a signal's values; signals whose values have the same texts share them."""
         alone = signal._replace(start=0, big_endian=False, name=signal.name if self._short else "")
         key = str(alone)
         if key not in self._texts:

@@ -160,7 +160,7 @@ class ShortText(SignalText):
 
 
 def _one_line(text: str) -> str:
-    """Without what would end or break a line."""
+    """Return the text without what would end or break a line."""
     return text.replace("\0", "").replace("\n", " ")
 
 

@@ -172,7 +172,7 @@ def listen(interface: str, codec: Codec, seconds: float) -> BusTraffic:
 
 
 def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic:
-    """The same of frames that have been received."""
+    """Return the traffic in frames that have been received."""
     counts: list[Four] = []
     speeds: list[Four] = []
     for frames in chunks:
@@ -202,7 +202,7 @@ def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic
 
 
 def _counted(values: Iterable[int]) -> int:
-    """By a counter of 16 bits."""
+    """Return how far a counter of 16 bits counted."""
     return sum((after - before) % (1 << 16) for before, after in pairwise(values))
 
 
@@ -224,8 +224,7 @@ def _ros(proc: Path) -> Ros:
 
 
 def distribution_of(rclpy: str, named: str, folder: Path) -> tuple[str, str]:
-    """Return whose rclpy it is: a distribution's name, '' for the package index; and an installed distribution that is
-    not used.
+    """Return whose rclpy it is: a distribution's name, '' for the package index; and an installed one that is not used.
 
     rclpy: the folder it is imported from. named: ROS_DISTRO. folder: where distributions are, /opt/ros.
     """
@@ -269,9 +268,7 @@ def _newer(path: Path, started_s: float | None) -> bool:
 
 
 def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
-    """List those of the files that the services' user cannot read, or could change; nothing where there is no such
-    user.
-    """
+    """List the files that the services' user cannot read, or could change; nothing where there is no such user."""
     try:
         group = grp.getgrnam(_GROUP).gr_gid
     except KeyError:
@@ -305,7 +302,7 @@ def services(interface: str) -> dict[str, str]:
 
 
 def starts_at_boot() -> bool | None:
-    """Return true where what is installed here starts with the machine; None where nothing is, or systemd does not run."""
+    """Return true where this installation starts with the machine; None where there is none, or systemd does not run."""
     if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
         return None
     return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()
@@ -358,7 +355,7 @@ def listening_addresses(process: Path) -> list[Address]:
 
 
 def listening_sockets(process: Path) -> dict[int, Address]:
-    """By inode: the local address of each UDP or TCP socket that takes what comes, in a process's network (proc(5))."""
+    """Return by inode the local address of each UDP or TCP socket that listens, in a process's network (proc(5))."""
     found = {}
     for name in ("tcp", "tcp6", "udp", "udp6"):
         for line in _read(process / "net" / name).splitlines()[1:]:
@@ -405,9 +402,7 @@ def _processes(proc: Path, module: bytes) -> Iterator[Path]:
 
 
 def _synchronised() -> bool | None:
-    """Return true where something keeps the kernel's clock right, as timedatectl judges it; None where that cannot be
-    asked.
-    """
+    """Return true where something keeps the kernel's clock right, by timedatectl's rule; None where that is unknown."""
     answer = ctypes.create_string_buffer(_TIMEX_BYTES)  # `modes` is zero: nothing is set
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(answer)

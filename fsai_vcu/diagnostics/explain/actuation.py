@@ -1,4 +1,4 @@
-"""Does the car do what it is asked? Torque, steering, brakes and wheels of a drive, for any AI stack.
+"""Check that the car does what it is asked: torque, steering, brakes and wheels of a drive, for any AI stack.
 
 Each check is a mask over the drive's cycles; one that holds for long enough is an incident with the cause's words.
 """
@@ -106,7 +106,7 @@ def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
 
 
 def _longest(one: Mismatch, times: Ints, part_ns: TimeRange) -> tuple[int, int] | None:
-    """Its longest stretch of rows, if that is long enough: one finding a drive, not a hundred."""
+    """Select its longest stretch of rows, if that is long enough: one finding a drive, not a hundred."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], one.holds, [False])).astype(np.int8)))
     stretches = [(int(begin), int(end) - 1) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
     stretches = [rows for rows in stretches if times[rows[0]] <= part_ns[1] and times[rows[1]] >= part_ns[0]]

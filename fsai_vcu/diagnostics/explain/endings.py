@@ -306,7 +306,7 @@ def switched(
     to: float | None = 0,
     within_ns: int = JUST_BEFORE_NS,
 ) -> list[Candidate]:
-    """The cause for each change of the signal (to a value, if one is named) just before, or with it."""
+    """Return the cause for each change of the signal (to a value, if one is named) just before, or with it."""
     changes = record.changes(signal, t_ns - within_ns, t_ns, to)
     return [
         shown(

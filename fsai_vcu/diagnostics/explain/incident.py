@@ -173,7 +173,7 @@ def within(part_ns: TimeRange, things: Iterable[Some]) -> Iterator[Some]:
 
 
 def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
-    """The best founded first; of equals the earliest. One of each cause."""
+    """Rank the candidates: the best founded first, of equals the earliest, one of each cause."""
     found: dict[str, Candidate] = {}
     for one in sorted(candidates, key=lambda c: (-c.sureness, c.t_ns)):
         found.setdefault(one.slug, one)
@@ -199,7 +199,7 @@ class Explanation:
         return tuple(self.timeline())
 
     def to_record(self, cause: Cause) -> str:
-        """Return what to record next time for that cause; empty where this log has it, or this car sends no such thing."""
+        """Return what to record next time for that cause; '' where this log has it, or this car sends no such thing."""
         wanted = {int(number, 16) for number in re.findall(r"0x([0-9A-F]{3})", cause.record)}
         lacking = {i for i in wanted if self.heading["revision"] in BY_ID[i].period_ns} - self.recorded
         if wanted and len(lacking) < len(wanted):

@@ -123,8 +123,9 @@ class Series:
         return self.spans_within(np.iinfo(np.int64).max)
 
     def spans_within(self, longest_ns: int) -> Spans:
-        """Return the spans of what was sent, change by change; where no frame came for longer, a span ends with the
-        last frame before.
+        """Return the spans of what was sent, change by change.
+
+        Where no frame came for longer than `longest_ns`, a span ends with the last frame before.
         """
         if not len(self.t_ns):
             return NO_SPANS
@@ -140,9 +141,7 @@ class Series:
         return self.spans[place] if place >= 0 else None
 
     def since(self, times: Ints) -> Ints:
-        """Return when the value in force at each of `times` began, the first one before; 0 where there is no such
-        signal.
-        """
+        """Return when (ns) the value in force at each of `times` began; 0 where there is no such signal."""
         begin_ns = self.spans.begin_ns
         places = np.maximum(np.searchsorted(begin_ns, times, side="right") - 1, 0)
         return begin_ns[places] if len(self) else np.zeros_like(times)
@@ -295,8 +294,9 @@ class Record:
         return can_id in self._rows
 
     def lacks(self, can_id: int) -> bool:
-        """Return true where no whole frame of that message came; a frame that the database does not name counts as
-        come.
+        """Return true where no whole frame of that message came.
+
+        A frame that the database does not name counts as one that came.
         """
         return not self.has(can_id) and can_id not in self.unknown_ids
 
@@ -311,8 +311,7 @@ class Record:
 
     @cached_property
     def ai_is_theirs(self) -> bool:
-        """Return true where another program than this software's bridge drives: it sends in another order, or in
-        another rhythm.
+        """Return true where another program than this software's bridge drives: by its order or its rhythm.
 
         The bridge sends 0x510 to 0x514 in the order of their ids, together, every 10 ms. Where two programs send, or
         too little was heard, that is not told.
@@ -362,7 +361,9 @@ class Record:
         return Series(found.t_ns, found.values.astype(np.float64))
 
     def matching(self, patterns: Sequence[str]) -> dict[str, list[tuple[str, Series]]]:
-        """By unit, (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ? means."""
+        """Group by unit (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ?
+        means.
+        """
         groups: dict[str, list[tuple[str, Series]]] = {}
         for layout in self.decoder.databases.layouts.values():
             for signal in layout.signals_like(patterns):
@@ -416,7 +417,7 @@ class Record:
     # ------------------------------------------------------------ the link
 
     def gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
-        """Return the gaps in which that message was missing for more than `longest_ns`, within the log and at its end."""
+        """Return the gaps in which that message was missing for longer than `longest_ns`, also at the log's end."""
         if (can_id, longest_ns) not in self._gaps:
             self._gaps[can_id, longest_ns] = self._find_gaps(can_id, longest_ns)
         return self._gaps[can_id, longest_ns]
@@ -484,7 +485,8 @@ class Record:
 
     @property
     def perhaps_frozen(self) -> Sequence[Span]:
-        """The same for a second and more with the ASMS off: it froze, or it stands while the car is driven by hand.
+        """Spans like `frozen` of a second and more with the ASMS off: it froze, or stands while the car is driven by
+        hand.
 
         Nothing else in 0x520 changed meanwhile either, and 0x120 does not say that the car does not drive itself.
         """
@@ -537,7 +539,7 @@ class Record:
 
     @cached_property
     def second_cars(self) -> Sequence[SecondSender]:
-        """While somebody else sends the car's messages too: what these say then is of no one car."""
+        """Times in which somebody else sends the car's messages too: what these say then is of no one car."""
         return second_cars({can_id: self.times(can_id) for can_id in VCU_IDS})
 
 

@@ -203,7 +203,7 @@ def _next_shape(
 
 
 def _likely(text: Characters, starts: Ints, shape: _Shape) -> Mask:
-    """Select the lines that may have the shape: what stands around the identifier and the time's point is in its place."""
+    """Select the lines that may have the shape: the characters around identifier and decimals are in place."""
     likely = np.ones(len(starts), np.bool_)
     for place in {shape.decimals.start - 1, shape.id.start - 1, shape.id.stop}:
         if place >= 0:

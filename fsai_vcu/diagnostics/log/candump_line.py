@@ -156,7 +156,7 @@ def _time_ns(seconds: str, fraction: str) -> int:
 
 
 def _screen_time_ns(text: str | None) -> int:
-    """0 where candump wrote no times."""
+    """Read the time of a line of the screen (ns); 0 where candump wrote no times."""
     if text is None:
         return 0
     found = _SECONDS.fullmatch(text.strip())

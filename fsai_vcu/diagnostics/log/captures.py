@@ -64,7 +64,7 @@ def _uncooked(link: int, channel: str, packet: bytes) -> tuple[int, int, str, by
 
 
 def _frame(t_ns: int, channel: str, packet: bytes, order: str, sent: bool | None) -> LogFrame:
-    """order: of the identifier's bytes; in a cooked capture that of the computer that captured."""
+    """Read a frame. order: of the identifier's bytes; in a cooked capture that of the computer that captured."""
     number, length, marks = struct.unpack_from(f"{order}LBB", packet)
     data = packet[8 : 8 + length]
     fd = bool(marks & 4) or len(packet) == 72

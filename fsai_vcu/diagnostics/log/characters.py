@@ -25,7 +25,7 @@ class Texts(NamedTuple):
         return Texts(self.items.take(rows), self.lengths if isinstance(self.lengths, int) else self.lengths.take(rows))
 
     def put(self, rows: Places, new: Texts) -> Texts:
-        """With the new texts in these rows; those that were there are written over."""
+        """Return the texts with the new texts in these rows; those that were there are written over."""
         items = widened(self.items, new.items.itemsize)
         items[rows] = widened(new.items, items.itemsize)
         self.lengths[rows] = new.lengths  # type: ignore[index]
@@ -47,7 +47,7 @@ def items_of(rows: npt.NDArray[Any]) -> Items:
 
 
 def widened(items: Items, width: int) -> Items:
-    """With zeros in front, where they are not so wide."""
+    """Return the items with zeros in front, where they are not so wide."""
     more = width - items.itemsize
     return items_of(np.pad(characters(items), ((0, 0), (more, 0)))) if more > 0 else items
 
@@ -100,12 +100,12 @@ def put_parts(out: bytearray, ends: Places, parts: Sequence[Part], before: int =
 
 
 def _certain(part: Part) -> int:
-    """Its length, if it has one in every row."""
+    """Return the part's length, if it has one in every row, else 0."""
     return len(part) if isinstance(part, bytes) else part.lengths if isinstance(part.lengths, int) else 0
 
 
 def _put_texts(out: bytearray, ends: Places, texts: Texts, room: int) -> None:
-    """With at most `room` bytes in front of each."""
+    """Put the texts into their places, with at most `room` bytes in front of each."""
     items, lengths = texts
     width = items.itemsize
     if width <= room or isinstance(lengths, int):

@@ -35,7 +35,7 @@ class FrameFilter:
 
     @classmethod
     def parse(cls, text: str) -> FrameFilter:
-        """From what stands behind the interface on candump's command line. Raises ValueError with one clear line."""
+        """Parse what stands behind the interface on candump's command line. Raises ValueError with one clear line."""
         ids: list[tuple[int, int, bool]] = []
         join, error_mask = False, None
         for word in filter(None, text.split(",")):

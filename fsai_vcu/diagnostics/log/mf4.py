@@ -208,7 +208,7 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
 
 
 def _whole(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Whole numbers, as a conversion does not leave them."""
+    """Make the numbers whole, as a conversion does not leave them."""
     if column.dtype.kind != "f":
         return column
     if not (np.isfinite(column).all() and (column == np.rint(column)).all() and (np.abs(column) < 1 << 32).all()):

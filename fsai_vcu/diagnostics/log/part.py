@@ -67,7 +67,7 @@ class Part:
         )
 
     def always(self) -> Part:
-        """The same messages, at all times."""
+        """Return a part with the same messages, at all times."""
         return Part(ids=self._ids)
 
     def of(self, frames: Frames) -> Frames:
@@ -83,7 +83,7 @@ class Part:
 
 
 def _seconds(text: str | None, first_ns: int, last_ns: int) -> float | None:
-    """Since the log's first frame. Raises ValueError for what is no time."""
+    """Return the seconds since the log's first frame. Raises ValueError for what is no time."""
     if text is None:
         return None
     clock = _CLOCK.fullmatch(text)

@@ -105,7 +105,7 @@ class _Unpacked(_Bounded):
         return self._handed_over(data, buffer)
 
     def _more(self, most: int) -> bytes | None:
-        """Some more; nothing where there may be more behind; None at the end."""
+        """Return some more; nothing where there may be more behind; None at the end."""
         if self._unpacker.eof:
             behind = (self._unpacker.unused_data or self._read()).lstrip(b"\0")
             if not behind:
@@ -119,7 +119,7 @@ class _Unpacked(_Bounded):
         return data
 
     def _next(self, behind: bytes, most: int) -> bytes | None:
-        """One packed file behind the other is as one."""
+        """Go on with the packed file behind: together they are as one."""
         behind = behind.lstrip(b"\0")
         if not behind:
             return b""

@@ -34,7 +34,7 @@ STEER_SHOWN_DEG: Final = 30.0
 
 
 def line(*parts: str | tuple[str, str], wrap: bool = False) -> Text:
-    """Some text of several styles."""
+    """Make a line of texts of several styles."""
     pairs = [(part, "") if isinstance(part, str) else part for part in parts]
     shown = [(printable(text), style) for text, style in pairs]
     return Text.assemble(*shown, no_wrap=not wrap, overflow="fold" if wrap else "crop")
@@ -102,7 +102,7 @@ def history_row(history: History, width: int, *, full: bool = False) -> Text:
 
 
 def event_row(event: TimelineEntry, clock: str, *, later: bool) -> Text:
-    """`later`: it comes only after the moment that is shown."""
+    """Draw an event; `later`: it comes only after the moment that is shown."""
     return line((f"{clock:>12}  ", FAINT), (event.text, FAINT if later else _WEIGHT_STYLES[event.weight]))
 
 

@@ -139,7 +139,7 @@ class Picture:
         return [*self.faults, *cause]
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON types, without the time, which is the caller's to name."""
+        """Return the picture as JSON types, without the time, which is the caller's to name."""
         found: dict[str, Any] = as_json(self, 4)
         found["handshake"] = as_json(self.handshake, 6)
         for message in found["messages"]:

@@ -76,7 +76,7 @@ class Live:
             self._view.update(frames)
 
     def wait(self, seconds: float) -> None:
-        """Until that time is over, or the bus."""
+        """Wait until that time is over, or the bus."""
         wait([self._receiving], seconds)
 
     def pause(self) -> None:
@@ -100,11 +100,11 @@ class Live:
         return datetime.fromtimestamp(time.time() - (time.monotonic_ns() - t_ns) / S).strftime("%H:%M:%S.%f")[:-3]
 
     def events(self) -> list[TimelineEntry]:
-        """Until now."""
+        """Return the events until now."""
         return self._view.events()
 
     def close(self) -> None:
-        """Raises what ended the bus."""
+        """Close the bus; raise what ended it."""
         self._stop = True
         self._receiving.result()
 
@@ -166,21 +166,21 @@ class Log:
         return not self._read_to(self.position_ns + 1)
 
     def read_all(self) -> None:
-        """To its end."""
+        """Read the log to its end."""
         self._read_to(math.inf)
 
     def seek(self, t_ns: int) -> None:
-        """To that time, or to the end that is nearer."""
+        """Go to that time, or to the end that is nearer."""
         self.position_ns = max(self.begin_ns, t_ns if self._read_to(t_ns) else self.end_ns)
 
     def advance(self, seconds: float) -> None:
-        """So much of one's own time passes."""
+        """Let so much of the viewer's time pass."""
         if self.playing:
             self.seek(self.position_ns + round(seconds * (self._rate or 1.0) * S))
             self.playing = not self.ended
 
     def wait(self, seconds: float) -> None:
-        """As the rate asks for."""
+        """Wait as the rate asks for."""
         if self._rate:
             time.sleep(seconds)
 
@@ -208,12 +208,12 @@ class Log:
         return f"{(t_ns - self.begin_ns) / S:.3f} s"
 
     def events(self) -> list[TimelineEntry]:
-        """All of the log."""
+        """Return the events of the whole log."""
         self.read_all()
         return self._view.events()
 
     def close(self) -> None:
-        """Nothing to be done."""
+        """Do nothing: there is nothing to be closed."""
 
     def _at(self, t_ns: int) -> tuple[View, Picture]:
         place = bisect_right(self._pieces, t_ns, key=lambda piece: int(piece[1].t_ns[0])) - 1

@@ -51,7 +51,7 @@ def _turning(words: Words) -> Words:
 
 @cache
 def _states_of() -> dict[int, Callable[[Words], Words]]:
-    """By identifier: what of its payloads is a state, in any revision."""
+    """Return by identifier what of its payloads is a state, in any revision."""
     codec = Codec(list(REVISIONS.values())[-1])
 
     def only(mask: int) -> Callable[[Words], Words]:
@@ -93,7 +93,7 @@ class Memory:
         return found
 
     def update(self, frames: Frames) -> Frames:
-        """More frames, in the order in which they came; the same with times that never go back."""
+        """Take in more frames, in the order in which they came, and return them with times that never go back."""
         if not len(frames):
             return frames
         t_ns, back_ns = straightened(frames.t_ns + self._moved_ns, self.newest_ns)
@@ -160,7 +160,7 @@ class Memory:
 
 
 def changed_bytes(frames: Frames, since_ns: int) -> dict[int, tuple[int, ...]]:
-    """By key of the message: which of its first eight bytes changed after `since_ns`."""
+    """Return by key of the message which of its first eight bytes changed after `since_ns`."""
     keys = keys_of(frames)
     order = np.argsort(keys, kind="stable")
     keys, words, t_ns = keys[order], frames.word[order], frames.t_ns[order]

@@ -83,7 +83,7 @@ class View:
         self._settled = False
 
     def copy(self) -> View:
-        """As it is now, whatever comes later."""
+        """Return a copy as it is now, whatever comes later."""
         found = copy.copy(self)
         found.memory = self.memory.copy()
         return found
@@ -93,7 +93,9 @@ class View:
         self.emergency, self._settled = other.emergency, True
 
     def update(self, frames: Frames) -> Frames:
-        """More frames of the bus, in the order in which they came; the same with times that never go back."""
+        """Take in more frames of the bus, in the order in which they came, and return them with times that never go
+        back.
+        """
         return self.memory.update(frames)
 
     def picture(self, now_ns: int) -> Picture:
@@ -283,7 +285,7 @@ class _Moment:
         return self._record.decoder.databases.baudrate or BITRATE
 
     def _lap_times_s(self) -> tuple[float, ...]:
-        """Between the steps of LAP_COUNTER in the newest stay in AS_DRIVING."""
+        """Return the times between the steps of LAP_COUNTER in the newest stay in AS_DRIVING."""
         run = self._record.series(sig.AS_STATE).last(self._now_ns, sig.DRIVING)
         if run is None or not len(wheel := self._record.fastest_wheel):
             return ()
@@ -328,7 +330,7 @@ class _Moment:
     # ------------------------------------------------------------ the link
 
     def _handshake_waiting_s(self) -> float | None:
-        """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or there is none."""
+        """Return how long a toggle of the VCU has no echo yet; None where the last one was answered, or there is none."""
         answers = self._record.answers
         if answers.echoed[-1:].all() or not self._fresh(sig.STATUS):  # of no answers, too
             return None

@@ -21,7 +21,9 @@ _PARTS: Final = {"/page.css": "text/css", "/page.js": "text/javascript"}
 
 
 class Server(serving.Server):
-    """`viewers`: how many streams there are. `html`: the page; it shows what is published unless a log is put here."""
+    """Server of the page. `viewers`: how many streams there are. `html`: the page; it shows what is published unless a
+    log is put here.
+    """
 
     def __init__(self, host: str, port: int) -> None:
         """Raises OSError."""
@@ -37,7 +39,7 @@ class Server(serving.Server):
         return self
 
     def publish(self, event: str, data: dict[str, Any]) -> None:
-        """To every viewer, in place of the event of that name before. Raises UserError where nobody listens."""
+        """Publish to every viewer, in place of the event of that name before. Raises UserError where nobody listens."""
         self.check()
         text = json.dumps({"sent_s": round(time.monotonic(), 3), **data}, separators=(",", ":"))
         self.loop.call_soon_threadsafe(self._put, event, f"event: {event}\ndata: {text}\n\n".encode())

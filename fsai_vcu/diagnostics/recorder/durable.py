@@ -30,7 +30,7 @@ class DurableFile:
 
     @property
     def removed(self) -> bool:
-        """It was deleted: what is written now would be nowhere."""
+        """Return true where the file was deleted: what is written now would be nowhere."""
         return os.fstat(self._descriptor).st_nlink == 0
 
     def push(self) -> None:
@@ -51,7 +51,7 @@ class DurableFile:
         self._waiting.clear()
 
     def close(self) -> None:
-        """Without a `push`."""
+        """Close the file without a `push`."""
         os.close(self._descriptor)
 
     # What a writer of a format needs of a stream.
@@ -61,7 +61,7 @@ class DurableFile:
         return len(data)
 
     def tell(self) -> int:
-        """All, on the disk and waiting."""
+        """Return how many bytes there are, on the disk and waiting."""
         return self._safe + len(self._waiting)
 
     def flush(self) -> None:

@@ -130,7 +130,7 @@ def _bounded_reader(file: IO[bytes]) -> StreamReader:
 
 
 def _check_unpacked(chunk: Chunk) -> None:
-    """Raises where it may unpack to more than a chunk has: it says so itself, or does not say."""
+    """Raise where a chunk may unpack to more than a chunk has: it says so itself, or does not say."""
     import zstandard
 
     sizes = [chunk.uncompressed_size]

@@ -23,7 +23,7 @@ _RANGE: Final = 10**_DIGITS - 1  # segments are numbered from 1 to it, and then 
 _MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
 LOST_HERE: Final = "lost_in_receive_buffer"
-"""In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
+"""Key in a segment's JSON file for the frames for which the recording machine had no room; null: not known."""
 
 
 def lost_words(frames: int) -> str:
@@ -33,7 +33,9 @@ def lost_words(frames: int) -> str:
 
 
 def lost_while_recorded(log: Path) -> int:
-    """So many, by the file beside `log`; 0 where there is none that says so."""
+    """Return how many frames were lost while `log` was recorded, by the file beside it; 0 where there is none that says
+    so.
+    """
     try:
         beside = Path(str(log).removesuffix(".gz")).with_suffix(".json")
         lost = json.loads(read_found(beside, SETTINGS_BYTES))[LOST_HERE]
@@ -44,7 +46,7 @@ def lost_while_recorded(log: Path) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """None: no bound. keep_free_bytes: what is always left free on the disk, for all else."""
+    """Bounds of a recording on the disk. None: no bound. keep_free_bytes: what is always left free, for all else."""
 
     segment_bytes: int | None = None
     segment_ns: int | None = None

@@ -116,7 +116,7 @@ class StackWatch:
     told: dict[tuple[str, str], str] = field(default_factory=dict)  # what nodes complain of: by node, and of what
 
     def receive(self, topic: str, message: Any, now_s: float, ros_ns: int) -> None:
-        """`now_s`: any steady clock; `ros_ns`: ROS time, by which messages are stamped."""
+        """Take in a message. `now_s`: any steady clock; `ros_ns`: ROS time, by which messages are stamped."""
         age_s = None
         if TOPICS[topic].least_hz:
             stamp = message.header.stamp

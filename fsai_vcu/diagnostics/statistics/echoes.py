@@ -1,5 +1,4 @@
-"""Echoes that an AI computer sends back for the HANDSHAKE: the bit of the last 0x520, its inverse, that of the 0x520
-before, …
+"""Echoes of the HANDSHAKE that an AI computer sends: the bit of the last 0x520, its inverse, the bit before it, …
 
 Each 0x510 is held against the newest 0x520 before it, and against the one before that. Where the VCU's bit has just
 changed, an inverse and an echo one frame late are the same; where it has stayed they differ.
@@ -56,7 +55,7 @@ class Echoes(NamedTuple):
 
     @property
     def fault(self) -> EchoFault | None:
-        """None where the echoes are right, or show nothing clearly."""
+        """Fault of the echoes; None where they are right, or show nothing clearly."""
         if self.judged < ENOUGH:
             return None
         few_right = self.judged - self.wrong <= (1.0 - NEARLY_ALL) * self.judged

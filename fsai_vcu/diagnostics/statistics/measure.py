@@ -257,7 +257,7 @@ def _by_message(frames: Frames) -> Iterator[tuple[Ints, int, Frames]]:
 
 
 def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | None) -> int | None:
-    """From the bus table where the message is one of its, else from the database."""
+    """Return the period from the bus table where the message is one of its, else from the database."""
     own = BY_ID.get(key)
     if own is not None and layout is not None and own.name == layout.name and revision is not None:
         return own.period_ns.get(revision)
@@ -345,7 +345,9 @@ def share(bits: Halves, duration_ns: int, bitrate: int) -> float:
 
 
 def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
-    """In the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go backwards."""
+    """Return the load in the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go
+    backwards.
+    """
     if not len(t_ns):
         return 0.0
     parts = []
@@ -367,7 +369,8 @@ def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDAr
 
 
 def handshake_of(frames: Frames, decoder: Decoder, off_ns: Sequence[tuple[int, int]] = ()) -> Handshake | None:
-    """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards.
+    """Measure the answers to HANDSHAKE in frames of one bus, whose times must not go backwards; None where one of the
+    two has none.
 
     off_ns: while the car was switched off; the last toggle before is owed no answer.
     """

@@ -1,5 +1,4 @@
-"""Does a second sender use one of the AI computer's ids, or of the VCU's? Known by how many frames come and by what
-they say.
+"""Search for a second sender on the AI computer's ids, or on the VCU's, by how many frames come and by what they say.
 
 Spacing alone proves nothing: a USB adapter hands frames over in batches, and a program that was held up sends two at
 once. What proves it: the log's own marks of direction, more frames in a second than one sender's period allows, or a
@@ -136,14 +135,15 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
 
 
 def _begun(one: SecondSender, close_ns: Ints) -> SecondSender:
-    """The same from the first of these times in it on."""
+    """Return the same second sender from the first of these times in it on."""
     first_ns = int(np.append(close_ns, NEVER_NS)[np.searchsorted(close_ns, one.begin_ns)])
     return replace(one, begin_ns=first_ns) if first_ns <= one.end_ns else one
 
 
 def batched(t_ns: Ints) -> bool:
-    """Return true where an adapter handed these frames of one message over together: the stamps are not when they were
-    sent.
+    """Return true where an adapter handed these frames of one message over together.
+
+    Their stamps are then not the times at which they were sent.
     """
     return bool((np.diff(t_ns) < MS).mean() > _BATCHED_SHARE) if len(t_ns) > 1 else False
 

@@ -93,7 +93,7 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
 
 
 def check_permission(layout: MessageLayout, *, as_ai: bool) -> None:
-    """Raises UserError for a message that is not ours to send."""
+    """Raise UserError for a message that this software must not send."""
     name = f"{layout.name} (0x{layout.can_id:03X})"
     # A filter for a number may not look at the width of the identifier: reserved is reserved in both.
     if layout.can_id in RESERVED_IDS:

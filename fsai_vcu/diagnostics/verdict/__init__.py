@@ -94,13 +94,14 @@ class Verdict:
         return 0 if self.ok else 1
 
     def unread(self, status: int, lost: str) -> Verdict:
-        """The same of a log that could not be read whole, where that is the status of reading it. `lost`: a sentence on
-        what this machine lost of it, or ''."""
+        """Return the verdict on a log that could not be read whole, where that is the status of reading it. `lost`: a
+        sentence on what this machine lost of it, or ''.
+        """
         why = (lost,) if lost else (UNREAD,) if status else ()
         return replace(self, unknown=(*why, *self.unknown))
 
     def line(self) -> str:
-        """In one line, without findings."""
+        """Return the verdict in one line, without findings."""
         notes = len(self.findings) - self.problems
         end = f" ({notes} note{'s' * (notes > 1)})" if notes else ""
         if self.problems:
@@ -220,7 +221,7 @@ def judged(
 
 
 def _with_gaps_before(bus: BusStatistics, whole: Record, part_ns: TimeRange) -> BusStatistics:
-    """The same, with the gap of each message that lasts into the part."""
+    """Return the statistics with the gap of each message that lasts into the part."""
 
     def whole_gap(message: MessageStatistics) -> MessageStatistics:
         times = whole.times(message.can_id)

@@ -140,7 +140,7 @@ class _Judge:
         t_s: float | None = None,
         remedy: str = "",
     ) -> Finding:
-        """`remedy`: its place in the table, where it is not the kind."""
+        """Make a finding; `remedy`: its place in the table, where it is not the kind."""
         t_ns = None if t_s is None else round(t_s * S)
         to_do = remedy_of(remedy or kind, theirs=self.known.theirs) if grave else ""
         can_ids = (ids,) if isinstance(ids, int) else ids

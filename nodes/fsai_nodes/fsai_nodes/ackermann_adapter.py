@@ -187,7 +187,9 @@ class AckermannAdapter(Node):
                 self._outputs.append((output, made, self.create_publisher(made, name, 1)))
 
     def _listen(self, topic: str, on_flag: Callable[[bool], None]) -> None:
-        """A flag may be said once only, so reliably; and who promises no such thing is heard too."""
+        """Listen to a flag, reliably, for it may be said only once; a publisher that does not promise that is heard
+        too.
+        """
         for qos in (ONCE, SENSOR):
             self._door.subscription(Bool, topic, lambda message: on_flag(message.data), qos=qos)
 
@@ -279,7 +281,9 @@ class AckermannAdapter(Node):
         self._command.publish(command)
 
     def _confirm(self) -> None:
-        """For planner and controller both, once a stack is there; the teams have no word for it, they see AS_OFF."""
+        """Confirm for planner and controller both, once a stack is there; the teams have no word for it, they see
+        AS_OFF.
+        """
         if self._confirmed != self._run.run_id and self.count_publishers(self._interface.command):
             self._confirmed = self._run.run_id
             for role in (ResetConfirmation.PLANNER, ResetConfirmation.CONTROLLER):
@@ -304,7 +308,7 @@ class AckermannAdapter(Node):
     # ------------------------------------------------------------ services, and the emergency as a topic
 
     async def _ask(self, client: Client, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """The bridge's answer."""
+        """Ask the bridge and return its answer."""
         if not client.service_is_ready():
             response.message = f"no bridge offers {client.srv_name}"
             return response
@@ -313,7 +317,7 @@ class AckermannAdapter(Node):
     def _on_request(
         self, on_flag: Callable[[bool], None], _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """As a flag that is set, and stays so in this run."""
+        """Take a request as a flag that is set, and stays so in this run."""
         response.success = self._run.may_move
         if response.success:
             on_flag(True)

@@ -1,5 +1,4 @@
-"""Outputs of ackermann_adapter to a stack: this project's messages in the types, numbers and words of the teams'
-interfaces. Pure.
+"""Outputs of ackermann_adapter: this project's messages in the types, numbers and words of the teams' interfaces. Pure.
 
 Each kind has the type that it makes. Types are looked for only when a preset asks for them: a team has its own.
 """
@@ -192,7 +191,7 @@ def wheel_speeds(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
 
 @_output("eufs_msgs/WheelSpeedsStamped")
 def wheel_turns(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
-    """In turns per second, as eufs_sim2 sends them."""
+    """Return the wheels in turns per second, as eufs_sim2 sends them."""
     message = _stamped(kind, state)
     _wheels(message.speeds, state, RPM_PER_TURN_PS)
     return message
@@ -233,7 +232,7 @@ def odometry(_kind: type[Any], state: VehicleState, _driving: bool) -> Any:
 
 @_output("eufs_msgs/CarState")
 def car_state(kind: type[Any], state: VehicleState, driving: bool) -> Any:
-    """The same; accelerations are not measured by it."""
+    """Return where the run's odometry has the car, as CarState; accelerations are not measured by it."""
     place = odometry(kind, state, driving)
     message = kind(header=place.header, child_frame_id=FRAME, pose=place.pose, twist=place.twist)
     message.linear_acceleration_covariance[0] = -1.0  # sensor_msgs/Imu's word for: none
@@ -271,12 +270,12 @@ def cones_with_color(kind: type[Any], seen: ConeArray, _driving: bool) -> Any:
 
 
 def set_can_state(request: Any, state: VehicleState | None) -> str:
-    """Empty where the car's display shows the mission that is asked for; else why not."""
+    """Return why the car's display does not show the mission that is asked for; empty where it does."""
     return _chosen(request.ami_state, CAN_MISSIONS.get(getattr(state, "mission", None), NO_CAN_MISSION))
 
 
 def set_mission(request: Any, state: VehicleState | None) -> str:
-    """The same, in the numbers of SetMission."""
+    """Return the same as `set_can_state`, in the numbers of SetMission."""
     return _chosen(request.mission, SET_MISSIONS.get(getattr(state, "mission", None), 0))
 
 
@@ -285,7 +284,7 @@ def _chosen(asked: int, shown: int) -> str:
 
 
 def go(_request: Any, state: VehicleState | None) -> str:
-    """Empty where the car drives; Go is the remote control's."""
+    """Return why the car does not drive; empty where it does. Go is the remote control's."""
     if state is not None and state.as_state == AsState.AS_DRIVING:
         return ""
     shown = "nothing yet" if state is None else state.as_state_label or str(state.as_state)

@@ -81,7 +81,7 @@ class Clocks:
         return words
 
     def watch(self) -> None:
-        """From now on the node itself says it when its clock stands still."""
+        """Watch the node's clock: from now on the node itself says it when the clock stands still."""
         self.every(_STANDS_NS / 1e9, self._watch)
 
     def _watch(self) -> None:
@@ -158,11 +158,11 @@ class Input:
         self._refused = words, time.monotonic_ns()
 
     def forget(self) -> None:
-        """As if nothing had ever been received."""
+        """Forget that anything was ever received."""
         self._received_ns, self._age_ns, self._said = None, 0, False
 
     def silence(self, now_ns: int) -> str:
-        """In words for how long nothing has come; empty while something comes."""
+        """Say for how long nothing has come, in words; empty while something comes."""
         words, refused_ns = self._refused
         refused = words if now_ns - refused_ns < self._silent_ns else ""
         if self._received_ns is None:
@@ -173,7 +173,7 @@ class Input:
         return refused or f"{self.who()}: nothing received for {silent_ns / 1e6:.0f} ms{self._note}"
 
     def old_data(self) -> str:
-        """In words what is wrong with the data that came last; empty if nothing is."""
+        """Say what is wrong with the data that came last, in words; empty if nothing is."""
         if self._age_ns < 0 or self._age_ns >= LATE_NS:
             wrong = "" if self._clocks is None else self._clocks.wrong(self._clocks.now_ns())
             if wrong:

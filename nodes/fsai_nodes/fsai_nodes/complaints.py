@@ -35,7 +35,7 @@ class Complaints:
         self._diagnostics = publisher(node, DiagnosticArray, "diagnostics") if publishes else None
 
     def say(self, kind: str, text: str, level: Level = "warning", now_ns: int | None = None) -> None:
-        """`kind`: what is complained of, such as a topic; `text`: one sentence."""
+        """Say a complaint. `kind`: what is complained of, such as a topic; `text`: one sentence."""
         now_ns = time.monotonic_ns() if now_ns is None else now_ns
         if kind not in self._kinds and len(self._kinds) >= MOST:
             kind = "more"

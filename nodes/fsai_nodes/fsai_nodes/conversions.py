@@ -1,4 +1,4 @@
-"""Between the pure types of the driving chain and ROS messages, and from the car's units to SI.
+"""Conversion between the pure types of the driving chain and ROS messages, and from the car's units to SI.
 
 Pure but for the message classes. Every number is made a plain int or float here: the middleware does not check.
 """
@@ -60,7 +60,7 @@ def cones_to_msg(observation: ConeObservation, stamp: Time) -> ConeArray:
 
 
 def cones_from_msg(message: ConeArray, t_ns: int) -> ConeObservation:
-    """`t_ns`: the monotonic time of the message's stamp."""
+    """Make cones of a message. `t_ns`: the monotonic time of the message's stamp."""
     rows = [(cone.x, cone.y, cone.color, cone.confidence) for cone in message.cones]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     return ConeObservation(t_ns, table[:, :2].copy(), table[:, 2].astype(np.int64), table[:, 3].copy())
@@ -70,7 +70,7 @@ def cones_from_msg(message: ConeArray, t_ns: int) -> ConeObservation:
 
 
 def path_to_msg(xy_m: np.ndarray, stamp: Time) -> Path:
-    """xy_m: (M, 2), vehicle frame of the stamp's instant. Each pose looks along the path."""
+    """Make a path's message. xy_m: (M, 2), vehicle frame of the stamp's instant. Each pose looks along the path."""
     message = Path()
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME
@@ -142,7 +142,7 @@ def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
 
 
 def command_from_msg(message: VehicleCommandMsg, t_sensor_ns: int) -> VehicleCommand:
-    """As received: what the car's own limits say of it is the gate's decision."""
+    """Make a command of a message, as received: what the car's own limits say of it is the gate's decision."""
     return VehicleCommand(t_sensor_ns, **{name: getattr(message, name) for name in _COMMANDED})
 
 
@@ -277,7 +277,8 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
 
 
 def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> Imu | None:
-    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been received.
+    """Make an Imu from the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been
+    received.
 
     What was not measured is marked as REP-145 has it: -1 in the first element of its covariance.
     """
@@ -315,7 +316,9 @@ _RANGE_ERROR_M = 3.0
 
 
 def fix_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> NavSatFix | None:
-    """None while no position has been received; STATUS_NO_FIX and NaN while the receiver says it has none."""
+    """Make a NavSatFix; None while no position has been received, STATUS_NO_FIX and NaN while the receiver says it has
+    none.
+    """
     latitude, longitude = gps.latitude, gps.longitude
     if latitude is None or longitude is None:
         return None

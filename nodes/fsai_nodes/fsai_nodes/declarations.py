@@ -206,7 +206,7 @@ BYTES: Mapping[str, int] = MappingProxyType({"nav_msgs/Path": 2 * MOST_BYTES})  
 
 
 def key_of(kind: type[Any]) -> str:
-    """As DECLARED has a message class: 'fsai_msgs/ConeArray', 'fsai_msgs/SetMode_Request'."""
+    """Return a message class's key in DECLARED: 'fsai_msgs/ConeArray', 'fsai_msgs/SetMode_Request'."""
     return f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
 
 

@@ -24,7 +24,7 @@ def _ms(value_ns: int | None) -> str:
 
 
 def diagnostics_of(report: BridgeReport, stamp: Time, more: dict[str, object]) -> DiagnosticArray:
-    """`more`: what the runtime adds about its loop."""
+    """Make a DiagnosticArray of the report. `more`: what the runtime adds about its loop."""
     message = DiagnosticArray()
     message.header.stamp = stamp
     message.status = [_link(report), _supervision(report), _car(report), _loop(report, more)]

@@ -59,7 +59,7 @@ class Senders:
         return " or ".join(sorted(set(self._names.values()))) if gid is None else ""
 
     def present(self) -> frozenset[bytes]:
-        """The GIDs of those who publish it now."""
+        """Return the GIDs of the nodes that publish it now."""
         return frozenset(gid_of(each) for each in self._look())
 
     def _look(self) -> list[Any]:
@@ -83,7 +83,7 @@ class Message:
 
 
 class Door:
-    """One node's."""
+    """Door of a node."""
 
     def __init__(self, node: Node, *, publishes: bool = True) -> None:
         """publishes: complaints go to /diagnostics, too."""

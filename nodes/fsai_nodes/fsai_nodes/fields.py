@@ -39,7 +39,7 @@ class Kind:
     checked = True
 
     def misfit(self, value: Any, name: str) -> str:
-        """In words what is wrong with `value`, which is called `name`; empty where it fits."""
+        """Say in words what is wrong with `value`, which is called `name`; empty where it fits."""
         raise NotImplementedError
 
 

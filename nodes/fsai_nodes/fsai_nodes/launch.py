@@ -235,7 +235,7 @@ def run(started: Sequence[Program]) -> int:
 
 
 def rehearsed(started: Sequence[Program]) -> tuple[int, str]:
-    """As `run`, and how this computer was too busy meanwhile, in words; '' if it was not."""
+    """Run as `run`, and return also how this computer was too busy meanwhile, in words; '' if it was not."""
     with tempfile.TemporaryDirectory(prefix="fsai-launch-") as notes, StallMonitor(Path(notes, "stalls")) as monitor:
         since_ns = time.monotonic_ns()
         return run(started), monitor.disturbed(since_ns, BUSY_NS)

@@ -199,7 +199,7 @@ class Taker:
 
 
 def taker() -> Taker | None:
-    """None where senders cannot be known."""
+    """Return a Taker; None where senders cannot be known."""
     try:
         return Taker()
     except (OSError, AttributeError):
@@ -207,7 +207,7 @@ def taker() -> Taker | None:
 
 
 def gid_of(endpoint: Any) -> bytes:
-    """As `Taker` tells it, of an entry of get_publishers_info_by_topic."""
+    """Return an endpoint's GID as `Taker` tells it, of an entry of get_publishers_info_by_topic."""
     return bytes(endpoint.endpoint_gid[:_GID_BYTES])
 
 

@@ -61,7 +61,7 @@ class Waiting:
         self._drove = False
 
     def duration_s(self, now_ns: int) -> float:
-        """Since the goal was taken; never negative, though `now_ns` was read before that."""
+        """Return the time since the goal was taken; never negative, though `now_ns` was read before that."""
         return max(0, now_ns - self._began_ns) / 1e9
 
     def step(

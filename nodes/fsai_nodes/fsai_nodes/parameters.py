@@ -121,7 +121,9 @@ class Scattered:
 
     @classmethod
     def among(cls, arguments: Sequence[str]) -> Scattered:
-        """A file that cannot be read is left to ROS to complain of."""
+        """Return the parameters of the arguments that name no node. A file that cannot be read is left to ROS to
+        complain of.
+        """
         unnamed: set[str] = set()
         of_files: set[str] = set()
         for option, value in pairwise(arguments):
@@ -175,7 +177,7 @@ _of_this_process: set[str] = set()
 
 
 def several_nodes(tables: Iterable[Sequence[NodeParameter]]) -> None:
-    """This process holds several nodes, which have these parameters."""
+    """Note that this process holds several nodes, which have these parameters."""
     _of_this_process.update(setting.name for table in tables for setting in table)
 
 
@@ -187,7 +189,7 @@ class _UnknownParameter(ParameterNotDeclaredException):  # type: ignore[misc]  #
 
 
 def misspelt(given: Iterable[str], known: Iterable[str]) -> str:
-    """Say which of the names `given` are nearly one of `known`, and which; empty where all are right, or quite others."""
+    """Say which of the names `given` are nearly one of `known`, and which; '' where all are right, or quite others."""
     known = list(known)
     close = {name: get_close_matches(name, known, n=1) for name in given if name not in known}
     return "; ".join(f"unknown argument {name}: did you mean {meant[0]}?" for name, meant in close.items() if meant)
@@ -243,7 +245,7 @@ class Settings:
             raise NodeError(f"parameter {problem}")
 
     def _unknown(self, name: str, also: Iterable[str] = ()) -> str:
-        """`also`: other names that may have been meant."""
+        """Say that a parameter is unknown; `also`: other names that may have been meant."""
         close = next(iter(get_close_matches(name, [*self._table, *also], n=1)), None)
         words = f"did you mean {close}?" if close else f"{self._node.get_name()} has {', '.join(self._table)}"
         return f"unknown parameter {name}: {words}"

@@ -88,7 +88,7 @@ class PathPlanner(Node):
             self._motion = motion_from_state(message, t_ns)
 
     def _watch(self) -> None:
-        """While driving, say whose silence it is that there is no path."""
+        """Say, while driving, whose silence it is that there is no path."""
         run = self._run
         if run is None or not run.may_move or run.mission in WITHOUT_PATH:
             return

@@ -252,7 +252,7 @@ class VcuBridge(LifecycleNode):
 
     @_reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Cleaned up, shut down or after an error: neither a loop nor its process is left."""
+        """Clean up, also on a shutdown or after an error: neither a loop nor its process is left."""
         self._end_loop()
         self._end_process()
         return super().on_cleanup(state)
@@ -260,7 +260,7 @@ class VcuBridge(LifecycleNode):
     on_shutdown = on_error = on_cleanup
 
     def stop(self) -> None:
-        """The process ends: say goodbye to the car first."""
+        """Say goodbye to the car before the process ends."""
         if self._loop is not None:
             self.trigger_deactivate()
 
@@ -394,7 +394,9 @@ class VcuBridge(LifecycleNode):
             self._door.refuse(came.topic, came.sender, words)
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
-        """`manual` or `autonomous` (`fsai-vcu mode`); refused with the reason. It says so if it was that already."""
+        """Sets the mode, `manual` or `autonomous` (`fsai-vcu mode`); a refusal has the reason. It says if that was the
+        mode already.
+        """
         return self._served(response, f"set_mode '{request.mode}'", lambda loop: loop.set_mode(request.mode))
 
     def _on_emergency_brake(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -402,7 +404,7 @@ class VcuBridge(LifecycleNode):
         return self._served(response, "emergency_brake", lambda loop: loop.emergency_brake("by /emergency_brake"))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Clears it, in AS_INIT and AS_OFF (`fsai-vcu reset`)."""
+        """Clears the latched ESTOP_REQUEST, in AS_INIT and AS_OFF (`fsai-vcu reset`)."""
         return self._served(response, "reset", LoopHandle.reset)
 
     def _served(self, response: Any, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> Any:
@@ -410,7 +412,9 @@ class VcuBridge(LifecycleNode):
         return response
 
     def _ask(self, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> tuple[bool, str]:
-        """The loop's answer; to the log, once: who is refused tends to ask again at once."""
+        """Ask the loop and return its answer. The log gets it once: a caller that is refused tends to ask again at
+        once.
+        """
         done, message = (False, _INACTIVE) if self._loop is None else ask(self._loop)
         line = f"{request}: {message}"
         if line != self._last_answer:
@@ -421,7 +425,7 @@ class VcuBridge(LifecycleNode):
     # ------------------------------------------------------------ from the car to ROS
 
     def _report(self, loop: LoopHandle) -> BridgeReport:
-        """The newest report, in which a stale command is somebody's silence."""
+        """Return the newest report, in which a stale command is somebody's silence."""
         return self._culprit.named(loop.report(), self._whose_silence)
 
     def _publish(self) -> None:
@@ -519,14 +523,16 @@ class VcuBridge(LifecycleNode):
         self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
 
     def _on_cancel(self, _handle: ServerGoalHandle) -> CancelResponse:
-        """Whoever cancels wants the car to stop, or not to start: mode manual. Rejected where that is not done."""
+        """Set the mode to manual: a client that cancels wants the car to stop, or not to start. Rejected where that is
+        not done.
+        """
         done, _ = self._ask("run_mission cancelled", lambda loop: loop.set_mode("manual"))
         return CancelResponse.ACCEPT if done else CancelResponse.REJECT
 
     def _step_goals(
         self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None, *, gone: bool = False
     ) -> None:
-        """gone: a drive that was cancelled is over, whatever the car said last."""
+        """Advance all goals. gone: a drive that was cancelled is over, whatever the car said last."""
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
@@ -643,7 +649,7 @@ def limits_of(text: str) -> OperationalLimits | None:
 
 
 def wheel_mapping_of(text: str) -> WheelMapping:
-    """fl=fr,fr=fl. Raises ValueError."""
+    """Parse a mapping such as fl=fr,fr=fl. Raises ValueError."""
     pairs = [part.strip() for part in text.split(",") if part.strip()]
     for pair in pairs:
         if pair.count("=") != 1:

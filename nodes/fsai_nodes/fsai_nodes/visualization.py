@@ -84,7 +84,7 @@ class Visualization(Node):
         self._markers.publish(MarkerArray(markers=[before, driven, unsure, seen, *planned, *self._car()]))
 
     def _car(self) -> list[Marker]:
-        """Its outline, and over it what it is doing."""
+        """Draw the car's outline, and over it what it is doing."""
         state, status = self._scene.state, self._scene.status
         header = Header(frame_id=BASE_FRAME)
         outline = _marker("car", header, Marker.LINE_STRIP, (0.06, 0.0, 0.0), (1.0, 1.0, 1.0))
