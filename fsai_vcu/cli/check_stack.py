@@ -90,9 +90,7 @@ def listen(node: Any, stack: StackWatch) -> None:
 
 
 def by_clock(node: Any, names: Collection[str]) -> dict[str, bool]:
-    """Tell of each node whether it goes by /clock (its parameter use_sim_time); a node that does not answer is left
-    out.
-    """
+    """Tell of each node whether it goes by /clock (parameter use_sim_time); a node that does not answer is left out."""
     import rclpy
     from rcl_interfaces.srv import GetParameters
 

@@ -48,7 +48,7 @@ _PROGRESS_S = 1.0
 
 
 def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
-    """Add the argument for sources: several logs, or folders of them, count as one log (the segments of a recording)."""
+    """Add the argument for sources: several logs, or folders of them, count as one log (a recording's segments)."""
     parser.add_argument(
         name,
         nargs="+",
@@ -209,7 +209,9 @@ class Decoding:
         return patterns
 
     def show_signals(self, names: str | None) -> None:
-        """Show only these signals from now on, by name or pattern, and the messages that have them. Raises UserError."""
+        """Show only these signals from now on, by name or pattern, and the messages that have them. May raise
+        UserError.
+        """
         if names is None:
             return
         self._shown = tuple(self.patterns(names))
@@ -282,8 +284,8 @@ class Sources:
     ) -> None:
         """Open the sources. Raises UserError.
 
-        names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each: gets what
-        was read of each of several logs, and nothing of it is said on stderr.
+        names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each: gets
+        what was read of each of several logs, and nothing of it is said on stderr.
         """
         self.verb = verb
         self.status = 0
@@ -551,7 +553,7 @@ def _log_like(path: Path) -> bool:
 
 
 def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
-    """Return whether the condition holds for a file of that name; raise UserError for a name that is too long for one."""
+    """Return whether the condition holds for a file of that name; raise UserError for a name too long for one."""
     try:
         return condition(Path(name))
     except OSError as error:

@@ -68,8 +68,10 @@ class Tally:
         self.problems[problem] += 1
 
     def on_revision(self, received: str, means: str, ours: str, t_ns: int) -> None:
-        """A frame that only revision `received` sends: another than ours is named when it comes again and again,
-        also among those of this node.
+        """Take in a frame that only revision `received` sends.
+
+        A revision other than the bridge's (`ours`) is named when it comes again and again, also between frames of
+        `ours`.
         """
         if received == ours:
             return

@@ -249,11 +249,11 @@ def _remember(known: dict[Any, Any], key: Any, found: Any) -> None:
 
 
 def _by_position(message: Message, signals: Sequence[Signal]) -> tuple[Callable[..., Any], Callable[..., bytes]]:
-    """Return functions from a payload to the raw numbers of these signals, the last in the frame first, and back: other
-    bits are 0.
+    """Return functions from a payload to the raw numbers of these signals, the last in the frame first, and back.
 
-    Payloads are read and made from their end, so that little-endian signals are whole. Messages that this cannot do are
-    left to cantools: big-endian ones, and multiplexed ones, where a signal that a frame does not carry is None.
+    Other bits are 0. Payloads are read and made from their end, so that little-endian signals are whole. Messages that
+    this cannot do are left to cantools: big-endian ones, and multiplexed ones, where a signal that a frame does not
+    carry is None.
     """
     if message.is_multiplexed() or any(signal.byte_order != "little_endian" for signal in signals):
         names, others = [signal.name for signal in signals], {signal.name: 0 for signal in message.signals}

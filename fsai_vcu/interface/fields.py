@@ -97,9 +97,7 @@ def fields_of(declared: Any, wheels: WheelMapping = STRAIGHT) -> tuple[Field, ..
 
 
 def by_message(state: type) -> dict[type, str]:
-    """Name, for each message class, the field of `state` that holds it: a class with a field for each of several
-    messages.
-    """
+    """Name the field for each message class, in a class with a field for each of several messages."""
     return {
         kind: name for name, hint in get_type_hints(state).items() for kind in get_args(hint) if kind is not NoneType
     }

@@ -93,9 +93,7 @@ _ANGLE_MAX_DEG: Final = 0.1
 
 
 def revision_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
-    """Tell the revision as `revision_by_status`, of all payloads of 0x523 (six bytes): steering goes further in one of
-    them.
-    """
+    """Tell the revision as `revision_by_status`, of all 0x523 (six bytes): one of the two steers further."""
     most_deg = max((word >> _ANGLE_MAX_BIT & 0xFFFF for word in words), default=0) * _ANGLE_MAX_DEG
     if most_deg < REVISIONS["2021"].steer_limit_deg:
         return None
@@ -104,9 +102,7 @@ def revision_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
 
 
 def revision_by_init(words: Iterable[int]) -> tuple[str, str] | None:
-    """Tell the revision as `revision_by_status`, of all payloads of 0x520: only the later revision has the state
-    AS_INIT.
-    """
+    """Tell the revision as `revision_by_status`, of all 0x520: AS_INIT is a state of the later revision alone."""
     if any(word >> _AS_STATE_BIT & 0xF == 0 for word in words):
         return "2026", "AS_STATE is 0 (AS_INIT) at times"
     return None

@@ -123,8 +123,9 @@ class LoopReport(Value, frozen=True, tag=True):
 
 
 class LogLine(Value, frozen=True, tag=True):
-    """A line of the loop's log, with the traceback of what was raised; the loop itself writes to no file, terminal or
-    socket of a journal.
+    """Line of the loop's log, with the traceback of what was raised.
+
+    The loop itself writes to no file, terminal or socket of a journal.
     """
 
     logger: Word

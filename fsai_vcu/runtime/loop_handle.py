@@ -135,7 +135,7 @@ class LoopHandle:
         return self._link.refusal
 
     def alive(self) -> None:
-        """Tell the loop that the edge lives, once a second: without it systemd's watchdog starts edge and loop again."""
+        """Tell the loop that the edge lives, once a second: else systemd's watchdog starts edge and loop again."""
         self._link.send(Alive())
 
     def confirm_reset(self, role: str, run_id: int) -> str:

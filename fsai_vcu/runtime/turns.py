@@ -44,8 +44,10 @@ class Do(Enum):
 
 
 class Send(Value, frozen=True):
-    """Send a cycle's frames, none in a silent one; after one that is not taken the rest would be a mixture of two
-    commands. Then there is time for whatever may take its time.
+    """Send a cycle's frames, none in a silent one.
+
+    After a frame that is not taken the rest would be a mixture of two commands. Then there is time for whatever may
+    take its time.
     """
 
     frames: tuple[Frame, ...]
@@ -63,8 +65,10 @@ Action = Send | Do | Note | Ask | Answer
 
 
 class Turns:
-    """Decides what the loop does in each turn: answers each 0x520, keeps its own clock when there is none, and copes
-    with missed deadlines, a bus that goes and comes, and an edge that asks, is silent or is gone.
+    """Decides what the loop does in each turn.
+
+    It answers each 0x520, keeps its own clock when there is none, and copes with missed deadlines, a bus that goes and
+    comes, and an edge that asks, is silent or is gone.
     """
 
     def __init__(
@@ -130,10 +134,10 @@ class Turns:
             self._bridge.backlog(now_ns - frames[0].t_ns, now_ns)
 
     def on_edge(self, messages: Iterable[Message] | None, now_ns: int) -> list[Action]:
-        """Take in what the edge has sent, read by `now_ns`; None once the edge is gone. The newest of several commands counts.
+        """Take in what the edge has sent, read by `now_ns`; None once it is gone.
 
-        A silent edge's commands get old, and so do those of an edge that is gone: the table of reactions stops the car.
-        When that is over there is nothing left to do.
+        The newest of several commands counts. A silent edge's commands get old, and so do those of an edge that is
+        gone: the table of reactions stops the car. When that is over there is nothing left to do.
         """
         actions: list[Action] = []
         if messages is None:

@@ -286,10 +286,10 @@ class Controller:
         )
 
     def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
-        """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance from now until then (m).
+        """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance until then (m).
 
-        All are in the vehicle frame of `there`. The steering has been told what the car will do until then. Tyres slip, so
-        the axle moves further outward than the car points.
+        All are in the vehicle frame of `there`. The steering has been told what the car will do until then. Tyres slip,
+        so the axle moves further outward than the car points.
         """
         delay_s = self._settings.delay_s + self._settings.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
         t_s = min(now_ns - motion.t_ns, CARRIED_NS) / 1e9 + delay_s

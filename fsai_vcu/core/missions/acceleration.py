@@ -86,6 +86,9 @@ def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
 
 
 def closed_at(after_m: float, cones_m: Floats) -> float | None:
-    """Return where along the lane (m) cones (lane frame) close it, or None: there is an end to every exit lane."""
+    """Return where beyond `after_m` (m along the lane) cones (lane frame) close it; None where none do.
+
+    There is an end to every exit lane.
+    """
     wall = cones_m[(np.abs(cones_m[:, 1]) < IN_THE_WAY_M) & (cones_m[:, 0] > after_m), 0]
     return float(wall.min()) if len(wall) else None

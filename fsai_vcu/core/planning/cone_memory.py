@@ -176,8 +176,10 @@ class ConeMemory:
 
 
 def matched(at: Floats, known: Floats) -> tuple[Ints, Floats, Bools]:
-    """(N,) for each place (N, 2) the nearest of the known ones (M, 2), how far it is, and whether no other place is
-    nearer to it."""
+    """Return for each place (N, 2) the nearest of the known ones (M, 2), its distance, and whether it is nobody else's.
+
+    Each is (N,); the last is true where no other place is nearer to the known one.
+    """
     gap = gaps(at, known)
     nearest = gap.argmin(axis=1)
     return nearest, np.minimum.reduce(gap, axis=1), gap.argmin(axis=0).take(nearest) == np.arange(len(at))
@@ -233,10 +235,10 @@ def rows_of(xy_m: Floats) -> Rows:
 
 
 def by_chain(side: Floats, rows: Rows) -> Floats:
-    """The sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those that stand in a border of the other
-    colour, also at its end as far as it is seen: there the lane says it.
+    """Return the sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those in a border of the other colour.
 
-    Such a cone is in line with two of the other colour, one after the other, and neither with two of its own nor
+    A border also counts at its end as far as it is seen: there the lane says it. A cone is in a border of the other
+    colour that is in line with two of the other colour, one after the other, and neither with two of its own nor
     between two of its own.
     """
     if not np.count_nonzero(side):
@@ -259,11 +261,11 @@ def by_chain(side: Floats, rows: Rows) -> Floats:
 
 
 def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:
-    """The sides of cones, where those without a colour, and not yet beside the lane, are expected to carry on the
-    border whose last two cones they are in line with.
+    """Return the sides of cones, where those without a colour carry on the border whose last two cones they are in line
+    with.
 
-    Not where the other border ends nearby as well and nothing is in line with it: in a sharp bend the outer border
-    stands straight on from the inner one's end.
+    Those beside the lane already do not. Nor do they where the other border ends nearby as well and nothing is in line
+    with it: in a sharp bend the outer border stands straight on from the inner one's end.
     """
     sure = np.abs(side) > SURE_SIDE
     if not np.count_nonzero(colourless & ~sure):

@@ -43,7 +43,7 @@ def check_steering(
     measured: VcuSteer | None,
     now_ns: int,
 ) -> SteeringCheck:
-    """Check one cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin again instead."""
+    """Check one cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin again."""
     if measured is None or now_ns - measured.t_rx_ns >= config.feedback_stale_ns:
         # Nothing to compare with (the supervisor names that); the model goes on from the next measurement.
         return SteeringCheck(pending=check.pending[-1:], target_deg=check.target_deg)

@@ -90,7 +90,7 @@ class Condition(Value, frozen=True):
     hint: bool = False
 
     def evidence(self, moment: Moment) -> tuple[str, str] | None:
-        """Evidence while the condition is not met: the field that shows it (none of history), and its value in words."""
+        """Evidence while the condition is not met: the field that shows it (none of history), its value in words."""
         if not self.sources:
             return ("", moment.history[self.slug]) if self.slug in moment.history else None
         known = self._known(moment)

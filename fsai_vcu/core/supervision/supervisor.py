@@ -155,7 +155,7 @@ class Consequence(IntEnum):
 
 
 class Step(Value, frozen=True):
-    """Step of a reaction: after an age of `after` (a time's name in BridgeConfig, None: at once) follows `consequence`."""
+    """Step of a reaction: at an age of `after` (a time's name in BridgeConfig, None: at once), `consequence`."""
 
     after: str | None
     consequence: Consequence

@@ -233,9 +233,7 @@ def _signal_layout(signal: Signal) -> SignalLayout:
 
 
 def _lowest_bit(signal: Signal) -> int:
-    """Return the lowest bit as in SignalLayout; of a big-endian signal cantools names the highest, by its place in its
-    byte.
-    """
+    """Return the lowest bit as in SignalLayout; of a big-endian signal cantools names the highest, by its place."""
     if signal.byte_order != "big_endian":
         return signal.start
     return 8 * (_MAX_PLAIN_BYTES - 1 - signal.start // 8) + signal.start % 8 - signal.length + 1

@@ -302,7 +302,7 @@ def services(interface: str) -> dict[str, str]:
 
 
 def starts_at_boot() -> bool | None:
-    """Return true where this installation starts with the machine; None where there is none, or systemd does not run."""
+    """Return true where this installation starts with the machine; None: there is none, or systemd does not run."""
     if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
         return None
     return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()

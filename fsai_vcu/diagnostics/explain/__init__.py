@@ -96,8 +96,10 @@ def _of_theirs(incident: Incident) -> Incident:
 
 
 def _told_by(other: Incident, one: Incident) -> bool:
-    """Return true where the other incident tells the same: what the car does not do as asked is why an AI computer
-    stops it, and why it stands; a stand is why somebody ends it.
+    """Return true where the other incident tells the same.
+
+    What the car does not do as asked is why an AI computer stops it, and why it stands; a stand is why somebody ends
+    it.
     """
     if one.kind is IncidentKind.MISMATCH and other.kind is IncidentKind.STAND:
         return one.candidates[0].slug in OF_A_STAND and one.begin_ns <= other.end_ns and other.begin_ns <= one.end_ns
@@ -111,7 +113,7 @@ def _told_by(other: Incident, one: Incident) -> bool:
 
 
 def _grouped(incidents: list[Incident], begin_ns: int) -> Iterator[Incident]:
-    """Yield the first of many incidents of one kind and cause, with how many follow: two cars on a bus make hundreds."""
+    """Yield the first of many incidents of one kind and cause, with how many follow: two cars on a bus make many."""
     alike: dict[object, list[Incident]] = {}
     for incident in incidents:
         alike.setdefault((incident.kind, incident.planned, incident.candidates[0].slug), []).append(incident)

@@ -361,9 +361,7 @@ class Record:
         return Series(found.t_ns, found.values.astype(np.float64))
 
     def matching(self, patterns: Sequence[str]) -> dict[str, list[tuple[str, Series]]]:
-        """Group by unit (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ?
-        means.
-        """
+        """Group (MESSAGE.NAME, series) of the log's signals that a NAME or MESSAGE.NAME with * and ? means, by unit."""
         groups: dict[str, list[tuple[str, Series]]] = {}
         for layout in self.decoder.databases.layouts.values():
             for signal in layout.signals_like(patterns):
@@ -485,8 +483,7 @@ class Record:
 
     @property
     def perhaps_frozen(self) -> Sequence[Span]:
-        """Spans like `frozen` of a second and more with the ASMS off: it froze, or stands while the car is driven by
-        hand.
+        """Spans like `frozen` of a second and more with the ASMS off: it froze, or the car is driven by hand.
 
         Nothing else in 0x520 changed meanwhile either, and 0x120 does not say that the car does not drive itself.
         """

@@ -117,7 +117,7 @@ def _off_stays(record: Record) -> Iterator[tuple[int, int, bool]]:
 def _judged_at(record: Record, begin_ns: int, end_ns: int) -> int:
     """Return the last moment with ASMS and TSMS on, where they were on for as long as a start may take.
 
-    What was missing then was missing to start. Else the moment is the end: the switches themselves kept the car from it.
+    What was missing then was missing to start. Else return the end: the switches themselves kept the car from it.
     """
     asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (sig.AS_SWITCH, sig.TS_SWITCH))
     if len(asms) != len(tsms) or not len(asms):

@@ -90,9 +90,7 @@ class AscRows(Rows):
         return self._added_up if self._relative else None
 
     def _added_up(self, t_ns: Ints) -> Ints:
-        """Add up the times of frames whose rows say differences; a date, or a row that takes time, may come behind
-        them.
-        """
+        """Add up the times of frames whose rows say differences; a date, or a row that takes time, may follow."""
         if self._now_ns + float(t_ns.sum(dtype=np.float64)) > MAX_NS:
             t_ns = np.minimum(np.cumsum(t_ns, dtype=np.float64), float(MAX_NS - self._now_ns)).astype(np.int64)
         else:

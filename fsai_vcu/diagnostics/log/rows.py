@@ -100,7 +100,7 @@ class Rows:
         return re.search(r"\s[0-9A-Fa-f]{2}\s*$", line) is not None
 
     def missing(self) -> str:
-        """Return, at the file's end, what it announced and does not have, as the end of a sentence; '' where nothing."""
+        """Return what the file announced and does not have at its end, as the end of a sentence; '' where nothing."""
         return ""
 
 

@@ -93,9 +93,7 @@ class View:
         self.emergency, self._settled = other.emergency, True
 
     def update(self, frames: Frames) -> Frames:
-        """Take in more frames of the bus, in the order in which they came, and return them with times that never go
-        back.
-        """
+        """Take in more frames of the bus, in the order of arrival, and return them with times that never go back."""
         return self.memory.update(frames)
 
     def picture(self, now_ns: int) -> Picture:
@@ -330,7 +328,7 @@ class _Moment:
     # ------------------------------------------------------------ the link
 
     def _handshake_waiting_s(self) -> float | None:
-        """Return how long a toggle of the VCU has no echo yet; None where the last one was answered, or there is none."""
+        """Return how long (s) the newest toggle of the VCU has had no echo; None where it had one, or there is none."""
         answers = self._record.answers
         if answers.echoed[-1:].all() or not self._fresh(sig.STATUS):  # of no answers, too
             return None

@@ -162,8 +162,11 @@ def _load(record: Record) -> Series:
 
 
 def thinned(series: Series, begin_ns: int, end_ns: int, buckets: int = BUCKETS) -> tuple[Ints, Values]:
-    """(times, values) with at most four points in each of `buckets` slices of the time: the first, the lowest, the
-    highest and the last, so that no peak is lost. NaN where the message was missing."""
+    """Return (times, values) with at most four points in each of `buckets` slices of the time.
+
+    They are the first, the lowest, the highest and the last, so that no peak is lost. NaN where the message was
+    missing.
+    """
     t_ns, values = series.t_ns, series.values
     if not len(t_ns):
         return t_ns, values

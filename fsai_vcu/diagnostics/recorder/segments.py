@@ -33,9 +33,7 @@ def lost_words(frames: int) -> str:
 
 
 def lost_while_recorded(log: Path) -> int:
-    """Return how many frames were lost while `log` was recorded, by the file beside it; 0 where there is none that says
-    so.
-    """
+    """Return how many frames were lost while `log` was recorded, by the file beside it; 0 where no file says so."""
     try:
         beside = Path(str(log).removesuffix(".gz")).with_suffix(".json")
         lost = json.loads(read_found(beside, SETTINGS_BYTES))[LOST_HERE]

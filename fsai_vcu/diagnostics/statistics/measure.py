@@ -369,10 +369,10 @@ def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDAr
 
 
 def handshake_of(frames: Frames, decoder: Decoder, off_ns: Sequence[tuple[int, int]] = ()) -> Handshake | None:
-    """Measure the answers to HANDSHAKE in frames of one bus, whose times must not go backwards; None where one of the
-    two has none.
+    """Measure the answers to HANDSHAKE in frames of one bus, whose times must not go backwards.
 
-    off_ns: while the car was switched off; the last toggle before is owed no answer.
+    Returns None where one of the two has no HANDSHAKE there. off_ns: while the car was switched off; the last toggle
+    before is owed no answer.
     """
     tables = decoder.tables(frames, _STATUS)
     both = [tables[name].series.get("HANDSHAKE") for name in ("VCU2AI_Status", "AI2VCU_Status") if name in tables]

@@ -160,8 +160,10 @@ def _rate(t_ns: Ints, many: Mask | Ints) -> float:
 
 
 def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, around: float = 0.0) -> Mask:
-    """Frames within windows in which `excess` times as many come as the period allows, even to a sender that catches
-    up, and in the second around which `around` times as many do."""
+    """Select frames within windows in which `excess` times as many come as the period allows.
+
+    That is too many even for a sender that catches up; in the second around them come `around` times as many.
+    """
     count = len(t_ns)
     least = math.ceil(excess * window_ns / period_ns)
     hits = np.flatnonzero(t_ns[least - 1 :] < t_ns[: max(count - least + 1, 0)] + window_ns)

@@ -106,7 +106,7 @@ def _crc_tables() -> Halves:
 
 @cache
 def _stuff_table() -> Halves:
-    """Return by state and byte the next state above, the stuff bits below. State: the last bit, and how many are alike."""
+    """Return by state and byte the next state above, the stuff bits below. State: the last bit, how many are alike."""
     number = np.arange(16 << 8)
     last, alike = number >> 11, number >> 8 & 7
     count = np.zeros_like(number)

@@ -133,8 +133,7 @@ def _missing(record: Record, begin_ns: int, end_ns: int) -> Iterator[tuple[int, 
 
 
 def _caught_up(record: Record, begin_ns: int, end_ns: int) -> bool:
-    """True where more frames come after the gap than before, or later: then they were held back, and their stamps are
-    late."""
+    """Return true where more frames come after the gap than before, or later: held back, their stamps are late."""
     windows = (end_ns, begin_ns - _WINDOW_NS, end_ns + 3 * _WINDOW_NS)
     t_ns = record.frames.t_ns
     after, before, later = (int(np.diff(np.searchsorted(t_ns, (low, low + _WINDOW_NS)))[0]) for low in windows)

@@ -187,9 +187,7 @@ class AckermannAdapter(Node):
                 self._outputs.append((output, made, self.create_publisher(made, name, 1)))
 
     def _listen(self, topic: str, on_flag: Callable[[bool], None]) -> None:
-        """Listen to a flag, reliably, for it may be said only once; a publisher that does not promise that is heard
-        too.
-        """
+        """Listen to a flag, reliably, for it may be said only once; a publisher that promises less is heard too."""
         for qos in (ONCE, SENSOR):
             self._door.subscription(Bool, topic, lambda message: on_flag(message.data), qos=qos)
 
@@ -281,9 +279,7 @@ class AckermannAdapter(Node):
         self._command.publish(command)
 
     def _confirm(self) -> None:
-        """Confirm for planner and controller both, once a stack is there; the teams have no word for it, they see
-        AS_OFF.
-        """
+        """Confirm for planner and controller both, once a stack is there: teams have no word for it but AS_OFF."""
         if self._confirmed != self._run.run_id and self.count_publishers(self._interface.command):
             self._confirmed = self._run.run_id
             for role in (ResetConfirmation.PLANNER, ResetConfirmation.CONTROLLER):

@@ -277,10 +277,10 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
 
 
 def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> Imu | None:
-    """Make an Imu from the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been
-    received.
+    """Make an Imu of the PCAN-GPS's own sensors, in the sensor's axes, or else of 0x501.
 
-    What was not measured is marked as REP-145 has it: -1 in the first element of its covariance.
+    Returns None while neither has been received. What was not measured is marked as REP-145 has it: -1 in the first
+    element of its covariance.
     """
     message = Imu()
     message.header.frame_id = frame_id
@@ -316,9 +316,7 @@ _RANGE_ERROR_M = 3.0
 
 
 def fix_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> NavSatFix | None:
-    """Make a NavSatFix; None while no position has been received, STATUS_NO_FIX and NaN while the receiver says it has
-    none.
-    """
+    """Make a NavSatFix, with STATUS_NO_FIX and NaN while the receiver has none; None before any position."""
     latitude, longitude = gps.latitude, gps.longitude
     if latitude is None or longitude is None:
         return None

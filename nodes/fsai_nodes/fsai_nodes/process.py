@@ -98,7 +98,7 @@ def log_trouble(environ: Mapping[str, str]) -> str:
 
 
 def _tell_systemd(node: Node) -> None:
-    """Tell systemd that the node is ready; the executor feeds the watchdog, so that a node that hangs is started again."""
+    """Tell systemd that the node is ready; the executor feeds the watchdog, so that a hanging node is started again."""
     notifier = Notifier()
     notifier.send("READY=1")
     if notifier.watchdog_period_ns:
