@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Read the configuration, print its settings or its problems, and return the exit status."""
     path = args.file or USUAL_PATH
     try:
         configuration = read_configuration(path)

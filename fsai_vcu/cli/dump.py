@@ -35,6 +35,7 @@ _NO_COLOR: Final = b"\x1b[0m"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of dump and decode, which are one verb with two names."""
     parser.set_defaults(verb=parser.prog.split()[-1])  # of the two names
     add = parser.add_argument
     add(
@@ -76,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then print the frames of the sources until they end."""
     if args.count is not None and args.count < 1:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
@@ -151,6 +153,7 @@ class _Lines:
         return ~sum(1 << signal.start for signal in layout.signals if signal.name == "HANDSHAKE")
 
     def block(self, frames: Frames) -> bytes | bytearray:
+        """Return all lines of `frames` as bytes, in the style that the arguments ask for."""
         if not len(frames):
             return b""
         if self._plain:

@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Make the keys that the policy asks for, and give them to their users."""
     policy = args.policy or next((path for path in (_INSTALLED_POLICY, _CHECKOUT_POLICY) if path.is_file()), None)
     if policy is None or not policy.is_file():
         raise UserError(f"no policy {policy or _INSTALLED_POLICY}")

@@ -161,6 +161,7 @@ _OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
+    """Find the verb in the arguments, parse the rest with its parser and run it; return the exit status."""
     if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
         _print_help("--all" in arguments)
         return 0 if arguments else 2

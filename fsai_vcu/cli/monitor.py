@@ -69,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then show a bus or a log in the way that they and the terminal allow."""
     check_numbers(args, every=0.02, seconds=0.0, rate=0.0)
     try:
         at = Part(args.at)
@@ -201,6 +202,7 @@ def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> N
 
 
 def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
+    """Print a line for each picture until the source ends."""
     try:
         while True:
             source.advance(every_s)

@@ -63,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then serve a bus or a log as a web page."""
     os.nice(5)  # what drives the car goes first, and it takes a while to load what follows
     from fsai_vcu.diagnostics.monitor.sources import Live, Log
     from fsai_vcu.diagnostics.monitor.view import View

@@ -46,6 +46,7 @@ _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: bus, output, the bounds of a recording, and what is recorded besides frames."""
     add = parser.add_argument
     add_bus_argument(parser)
     add(
@@ -77,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then record the bus until the time is up or the end is asked for."""
     if args.service:
         return _as_configured(args.config or USUAL_PATH, args.interface)
     if args.config is not None:

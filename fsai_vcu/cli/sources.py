@@ -373,6 +373,7 @@ class Sources:
                     self._decoding.hear(frames)
 
     def _log_chunks(self) -> Iterator[Frames]:
+        """Yield the frames of the logs, one log after the other, that the filters let through."""
         inside = lost = 0
         for name, rule in self._rules:
             count = 0
@@ -424,6 +425,7 @@ class Sources:
         return shown if self._decoding is None else self._decoding.chosen(shown)
 
     def _live_chunks(self, seconds: float | None, announced: bool, waits: bool) -> Iterator[Frames]:
+        """Yield the frames of live buses that the filters let through, until the time is over or Ctrl-C."""
         from fsai_vcu.diagnostics.log.live import LiveSource
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C

@@ -82,6 +82,7 @@ class Bridge:
         first_run_id: int = 1,
         now_ns: int = 0,
     ) -> None:
+        """Begin at rest and idle, with `first_run_id` as the first run; `now_ns` is of the monotonic clock."""
         self._codec = codec
         self._car = car
         self._config = config or BridgeConfig()
@@ -189,6 +190,7 @@ class Bridge:
         )
 
     def _on_status(self, status: VcuStatus) -> None:
+        """Take in a believed 0x520: supervise it, note what it must not show, and begin the odometry of a new run."""
         state, tally, t_ns = self._state, self.tally, status.t_rx_ns
         before, odometry = state.supervisor, state.odometry
         now = supervisor.on_status(self._config, before, status)

@@ -82,6 +82,7 @@ class Server(serving.Server):
             client.news.set()
 
     async def answer(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
+        """Answer a client: upgrade to the WebSocket, then serve it until it leaves."""
         asked = {each.strip() for each in request.headers.get("Sec-WebSocket-Protocol", "").split(",")}
         if request.headers.get("Upgrade", "").lower() != "websocket" or not asked.intersection(PROTOCOLS):
             return error_page(HTTPStatus.UPGRADE_REQUIRED)

@@ -66,6 +66,7 @@ class Codec:
         dbc_paths: Sequence[Path | str] | None = None,
         mapping: WheelMapping = STRAIGHT,
     ) -> None:
+        """Load the databases and lay out every message. Raises DatabaseError."""
         paths = [dbc_dir() / name for name in revision.dbc_files] if dbc_paths is None else list(dbc_paths)
         files = ", ".join(map(str, paths))
         self.revision = revision
@@ -170,6 +171,7 @@ class _Layout:
     """One message of the loaded database with the class that it fills."""
 
     def __init__(self, kind: type[Image], message: Message, wheels: WheelMapping, files: str) -> None:
+        """Lay out one message of the database for its class; `lacking` has the signals that are not there."""
         self.kind: Any = kind
         self.message = message.name
         self.can_id = message.frame_id

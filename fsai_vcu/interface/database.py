@@ -68,6 +68,8 @@ def load_database(paths: Iterable[Path | str]) -> Database:
 
 
 def _load_one(path: Path) -> Database:
+    """Load one DBC file, its messages of this interface strictly. Raises DatabaseError."""
+
     def load(text: str) -> Database:
         database = Database(strict=False)
         database.add_dbc_string(text)

@@ -54,6 +54,7 @@ class Slot:
     """
 
     def __init__(self, field: Field, signal: Signal, message: str, place: int) -> None:
+        """Join a field to the signal that fills it, with the readers and writers that fit its kind."""
         self.field, self.signal, self.place = field, signal, place
         self.ones = (1 << signal.length) - 1
         self._what = f"{message}: {signal.name}"
@@ -96,6 +97,7 @@ class Slot:
         raise self._refused(value)
 
     def _number_reader(self) -> Callable[[Any], Any]:
+        """Return the function that makes the field's number of a raw number."""
         what, holds, offset = self._what, self.field.holds, self.signal.offset
         # A decimal scale is a quotient of whole numbers: products with it round as decimals do.
         up, down = map(float, Fraction(str(self.signal.scale)).as_integer_ratio())
@@ -116,6 +118,7 @@ class Slot:
         return scaled if offset or up != down else holds
 
     def _number_writer(self) -> Callable[[Any], float]:
+        """Return the function that makes a raw number of the field's number."""
         low, high, offset, is_float = self._low, self._high, float(self.signal.offset), self.signal.is_float
         up, down = Fraction(str(self.signal.scale)).as_integer_ratio()
         per_unit, clamped = down / up, self._clamped

@@ -70,6 +70,7 @@ class CanBus:
         *,
         wall_clock_stamps: bool = False,
     ) -> None:
+        """Take over python-can's `bus`; the class says what the arguments mean."""
         self._bus = bus
         self._may_send = _allowed(may_send)
         self._stamped = wall_clock_stamps
@@ -229,6 +230,7 @@ class SocketCanBus(CanBus):
         self._socket.send(_CAN_FRAME.pack(word, len(frame.data), frame.data), socket.MSG_DONTWAIT)
 
     def _take(self, timeout_s: float) -> _Taken | None:
+        """Return the next frame that the socket has, or None after `timeout_s`. Raises BusLost."""
         until = time.monotonic() + timeout_s if timeout_s > 0.0 else 0.0
         while True:
             try:

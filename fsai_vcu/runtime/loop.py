@@ -98,6 +98,7 @@ class BridgeLoop:
     # ------------------------------------------------------------ a turn
 
     def _turn(self) -> None:
+        """Do one turn: sleep, read, update, and act; a lost bus ends the turn."""
         turns, bus = self._turns, self._bus
         try:
             wait_s = (turns.due_ns() - time.monotonic_ns()) / 1e9
@@ -123,6 +124,7 @@ class BridgeLoop:
         return messages
 
     def _do(self, actions: Iterable[Action]) -> None:
+        """Carry out actions in order, those that a Send returns too."""
         for action in actions:
             match action:
                 case Send(frames):

@@ -224,6 +224,7 @@ class LoopHandle:
         return values
 
     def _take(self) -> None:
+        """Take in what the loop has sent: reports, answers, log lines, its end."""
         now_ns = time.monotonic_ns()
         if now_ns - self._read_ns >= _NOT_READ_NS:
             self._reads_since_ns = now_ns

@@ -50,6 +50,7 @@ def serve(link: LinkEnd) -> None:
 
 
 def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, number: int, first_run_id: int) -> None:
+    """Make the bridge and run its loop; the answer to request `number` says when it has begun, or why it has not."""
     try:
         bridge = Bridge(
             codec,

@@ -38,6 +38,7 @@ class LoopbackBus(can.BusABC):
     def __init__(
         self, channel: str = "fsai", can_filters: can.typechecking.CanFilters | None = None, **kwargs: Any
     ) -> None:
+        """Open the socket of the group that stands for `channel`."""
         self._closed = True
         self._group, self._port = group_of(channel)
         self._sender = os.urandom(8)
@@ -76,6 +77,7 @@ class LoopbackBus(can.BusABC):
             raise can.CanOperationError(f"Failed to transmit: {error.strerror}", error.errno) from error
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return the next message of another process, or None after `timeout` (s), as python-can asks for it."""
         until = None if timeout is None else time.monotonic() + timeout
         while True:
             try:

@@ -61,6 +61,7 @@ class TomlLines:
     """
 
     def __init__(self, text: str) -> None:
+        """Find the lines of all tables and keys in `text`."""
         self._lines: dict[tuple[str, ...], int] = {}
         table: tuple[str, ...] = ()
         begun, waiting, tried = 1, list[str](), 0

@@ -142,6 +142,7 @@ class Controller:
         return self._along_path(plan, motion, vehicle_standing, run, now_ns)
 
     def _without_path(self, view: CarView, run: Run) -> VehicleCommand:
+        """Return the command of a mission without a path: the demo or an inspection."""
         request: MissionRequest
         limit = self.max_speed_mps(run.mission)
         if run.mission is Ami.AUTONOMOUS_DEMO:
@@ -172,6 +173,7 @@ class Controller:
     def _along_path(
         self, plan: Plan | None, motion: Motion, vehicle_standing: bool, run: Run, now_ns: int
     ) -> VehicleCommand:
+        """Return the command of a mission with a path, for the newest plan that there is."""
         if plan is not None:
             self._last_plan = plan
         last = self._last_plan

@@ -35,6 +35,7 @@ class AccelerationStrategy:
         self._sight, self._fit = Sight(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """Return the way along the lane, to the stop behind the finish."""
         cones = memory.around(motion)
         lost = self._sight.lost(seen_xy_m, motion)
         self._lane = lane = follow_lane(self._lane, motion, cones.xy_m)

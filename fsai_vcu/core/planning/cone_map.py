@@ -182,6 +182,7 @@ class ConeMap:
         return replace(motion, x_m=x, y_m=y, yaw_rad=yaw)
 
     def _take_in(self, seen_xy_m: Floats, near: Ints) -> None:
+        """Take the cones seen into the map: average those that are known, add those that are new."""
         settings, here, cones = self._settings, self.here, self._cones
         at = to_odometry(here, seen_xy_m)
         found = np.zeros(len(cones), dtype=bool)

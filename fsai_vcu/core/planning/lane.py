@@ -235,6 +235,7 @@ NEAREST_M = 0.4  # to a pose that a border's cone stands
 
 @cache
 def _fan(settings: PlannerSettings) -> _Fan:
+    """Return the arcs of the search, for steps and curvatures by the settings."""
     step, tightest = settings.step_m, settings.curvature_max_1pm
     bends = np.array([-1.0, -0.75, -0.47, -0.26, -0.11, 0.0, 0.11, 0.26, 0.47, 0.75, 1.0]) * tightest
     jerk = np.abs(bends[None, :] - bends[:, None]) / tightest

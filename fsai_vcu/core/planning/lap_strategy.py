@@ -44,6 +44,7 @@ class LapStrategy:
         self.anchor(Motion())
 
     def anchor(self, motion: Motion) -> None:
+        """Begin the run, with the car staged at `motion`."""
         self._state = staged(motion, self._line_ahead_m)
         self._half_width_m = self._settings.lane_half_width_min_m
         self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
@@ -61,6 +62,7 @@ class LapStrategy:
         self._stop_m = self._missions.lap_stop_m
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """Return the way on: along the race line where the map bears it out, else in the lane that the cones make."""
         cones = memory.around(motion)
         racing = self._racing
         here, path, doubt = motion, NO_PATH, ""
@@ -139,6 +141,7 @@ class LapStrategy:
         return ahead if len(ahead) >= 5 else NO_PATH
 
     def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
+        """Correct the line by the gate, or by the map, and count the passages of it."""
         gate = cones.xy_m[cones.color == BIG]
         if self._racing is not None and self._racing.located:
             # Where the car is in the map says it better than the gate.

@@ -117,6 +117,7 @@ class _Problem:
     """Displacements to the left, within `low` and `high`, of least sum of squared curvatures of the moved line."""
 
     def __init__(self, line: Floats, cos: Floats, sin: Floats, low: Floats, high: Floats) -> None:
+        """Set up the problem for the closed `line` (N, 2) with its direction, and with bounds (N,) to either side."""
         normal = np.column_stack((-sin, cos))
         self._line, self._normal = line, normal
         # Curvature times step squared: before * at[i-1] - 2 at[i] + after * at[i+1] + own

@@ -43,6 +43,7 @@ class SkidpadStrategy:
         self._sight, self._fit = Sight(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """Return the way along the figure of eight from where the cones show the car to be."""
         course = self._course
         self._state = state = advance_skidpad(course, self._state, motion, seen_xy_m)
         if state.progress_m < self.SEARCHED_UNTIL_M:

@@ -737,6 +737,7 @@ def may_move(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
 
 
 def _phase(config: BridgeConfig, state: SupervisorState, hold: bool, now_ns: int) -> Phase:
+    """Return the phase of the run; `hold` says that torque is held back."""
     now = state.as_state
     if now is None or now in OFF_LIKE:
         return Phase.IDLE

@@ -190,6 +190,7 @@ def _load(path: Path) -> tuple[Database, bool, str]:
 
 
 def _layout(message: Message) -> MessageLayout:
+    """Return the layout of cantools' message, and whether it is plain."""
     signals = tuple(_signal_layout(signal) for signal in message.signals)
     plain = (
         message.length <= _MAX_PLAIN_BYTES
@@ -240,6 +241,7 @@ def _lowest_bit(signal: Signal) -> int:
 
 
 def _is_plain(signal: Signal, length: int) -> bool:
+    """Return true where the signal can be taken out of a message of `length` bytes by shifting and masking."""
     lowest = _lowest_bit(signal)
     first = 8 * (_MAX_PLAIN_BYTES - length) if signal.byte_order == "big_endian" else 0
     if not 0 < signal.length <= 64 or lowest < first or lowest + signal.length > first + 8 * length:

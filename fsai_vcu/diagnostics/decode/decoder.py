@@ -117,6 +117,7 @@ class Decoder:
         return MessageTable(layout, rows, t_ns, series, wrong)
 
     def _careful_series(self, layout: MessageLayout, frames: Frames, rows: Ints) -> dict[str, SignalSeries]:
+        """Decode the frames `rows` through cantools, one by one, into a series for each signal."""
         message = self.databases.message(layout.key)
         found: dict[str, tuple[list[int], list[Any], list[Any]]] = {
             signal.name: ([], [], []) for signal in layout.signals

@@ -43,6 +43,7 @@ class LineWriter:
         short: bool = False,
         rounded: bool = False,
     ) -> None:
+        """Make a writer of `decoder`'s messages; the class says what the options do."""
         self._decoder = decoder
         self._json = as_json
         self._words = words

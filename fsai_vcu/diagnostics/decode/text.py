@@ -50,6 +50,7 @@ class SignalText:
     """
 
     def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool, rounded: bool = False) -> None:
+        """Prepare the texts of one signal; a table holds all of them where the signal has few bits."""
         self._layout = layout
         values = 1 << layout.length if layout.length <= _TABLE_BITS else 0
         self._table = Texts(np.zeros(values, "V1"), np.zeros(values, np.int64))  # by the bits of a value

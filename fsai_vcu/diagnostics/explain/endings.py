@@ -85,6 +85,7 @@ def emergencies(record: Record) -> Iterator[Incident]:
 
 
 def _emergency(record: Record, span: Span) -> Incident:
+    """Return the incident of an entry into EMERGENCY_BRAKE, with its causes."""
     t_ns = span.begin_ns
     before = None if span.before is None or span.before > sig.FINISHED else AsState(int(span.before)).label
     names = [signal.name for signal in sig.FAULTS if record.at(signal, t_ns)]
@@ -508,6 +509,7 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
 
 
 def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
+    """Return the cause that made this start wrong, where one is seen: no mission, or too short a time in AS_READY."""
     if not record.at(sig.AMI, span.begin_ns):
         return [shown(Reason.NO_MISSION.slug, sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen"))]
     ready = record.span_at(sig.AS_STATE, span.begin_ns - 1)
@@ -539,6 +541,7 @@ def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> i
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
+    """Return the incident of a drive that the AI computer's service brake ended, with its causes."""
     brake = sig.BRAKE_REQ_F.step(
         t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for the rest of the run"
     )

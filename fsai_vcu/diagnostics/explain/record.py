@@ -344,6 +344,7 @@ class Record:
         return self._series[signal]
 
     def _read(self, signal: Signal) -> Series:
+        """Return the series of a signal; empty where the log or the database does not have it."""
         layout = self.decoder.databases.by_name(signal.message)
         rows = self._rows.get(layout.key) if layout is not None else None
         if layout is None or rows is None:
@@ -491,6 +492,7 @@ class Record:
 
     @cached_property
     def _standing(self) -> tuple[Sequence[Span], Sequence[Span]]:
+        """Find the spans of `frozen` and those of `perhaps_frozen`."""
         asked, echo, times = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO), self.times(sig.STATUS)
         if len(times) < 2 or np.median(np.diff(times)) > 1.5 * PERIOD_NS:
             return (), ()

@@ -71,6 +71,7 @@ def text_lines(story: Explanation, name: str, *, timeline: bool = False, colour:
 
 
 def _incident_lines(story: Explanation, incident: Incident, paint: Any, *, more: bool) -> Iterator[str]:
+    """Yield the lines of an incident; `more`: also what to record next time."""
     colour = "33;1" if incident.planned else "31;1"
     planned = " (as planned)" if incident.planned else ""
     heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"

@@ -67,6 +67,7 @@ def refusals(record: Record) -> Iterator[Incident]:
 
 
 def _never_ready(record: Record) -> Iterator[Incident]:
+    """Yield an incident for each stay in AS_INIT and AS_OFF in which the car was to start and did not."""
     for begin_ns, end_ns, after_run in _off_stays(record):
         if end_ns - begin_ns < PATIENCE_NS:
             continue

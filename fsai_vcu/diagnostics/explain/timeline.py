@@ -131,6 +131,7 @@ def _switches(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _states(record: Record) -> Iterator[TimelineEntry]:
+    """Yield the changes of the states that the car and the AI computer report."""
     for signal, topic, usual in STATES:
         if signal in (sig.STATUS_BRK, sig.STATUS_EBS) and not record.series(signal).values.any():
             continue

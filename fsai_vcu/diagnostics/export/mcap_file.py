@@ -173,6 +173,7 @@ class McapTables:
             row = upto
 
     def _end_chunk(self) -> None:
+        """End the chunk in hand, if there is one, and write it with its index to the stream."""
         if not self._messages:
             return
         numbers, times, places = (np.concatenate(columns) for columns in zip(*self._messages, strict=True))

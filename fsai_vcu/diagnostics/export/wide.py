@@ -31,6 +31,7 @@ class WideTable:
     """Iterated once: its rows, some ten thousand at a time. notes: lines for people."""
 
     def __init__(self, tables: Tables, frames: Frames, step_ns: int) -> None:
+        """Prepare the rows of `frames`, in order of time, at multiples of `step_ns`."""
         self._step_ns = step_ns
         self.notes: list[str] = []
         backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))

@@ -204,6 +204,7 @@ class BlfFile:
         )
 
     def _frame(self, kind: int, version: int, content: bytes) -> LogFrame | None:
+        """Return the frame of an object; None for one that is no frame, which is noted."""
         if kind not in _READ:
             name = _NAMES.get(kind)
             self._told.note(f"an object of type {kind}{f' ({name})' if name else ''}, which is no frame")

@@ -115,6 +115,7 @@ def _from_log_line(found: re.Match[str]) -> LogFrame:
 
 
 def _from_screen_line(found: re.Match[str]) -> LogFrame:
+    """Return the frame of a matched line of candump's screen output."""
     can_id, extended, error = _identifier(found["id"])
     length = int(found["length"])
     text = found["data"] or ""

@@ -83,6 +83,7 @@ _Packets = Iterator[tuple[int, str, int, bytes, int, str]]
 
 
 def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
+    """Yield the packets of a pcap file."""
     head = stream.read(20)
     if len(head) < 20:
         raise ReadingEnds("cut off in its head")
@@ -100,6 +101,7 @@ def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
 
 
 def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
+    """Yield the packets of a pcapng file, of all its interfaces."""
     order, kind = "<", _SECTION
     interfaces: list[tuple[int, str, int]] = []  # link type, channel, units a second
     first = True

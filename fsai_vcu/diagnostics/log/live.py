@@ -80,6 +80,7 @@ class Listener:
             raise
 
     def _receive(self) -> None:
+        """Receive until the end, in a thread of its own, and open the bus again when it comes back."""
         lost_s = 0.0
         while self.heard_ns < self._end_ns:
             if self._bus is None:

@@ -170,6 +170,7 @@ def _group_frames(
 
 
 def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
+    """Return the columns of one kind of frames as Frames."""
     count = len(t_ns)
     if not count:
         return frames_of((), channels)

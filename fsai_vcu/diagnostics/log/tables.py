@@ -73,6 +73,7 @@ class TableRows(Rows):
         return self._table is not None and self._table.length != ""  # which is checked when it is read
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line; None for the head and for comments."""
         text = line.strip()
         if text.startswith("#"):
             if text.lower().startswith("# time format:") and text.partition(":")[2].strip() != "0":

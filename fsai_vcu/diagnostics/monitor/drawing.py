@@ -182,6 +182,7 @@ def _trend(series: Series | None, now_ns: int, width: int, *, least: float) -> T
 
 
 def _state(picture: Picture, dark_phase: bool) -> list[Text]:
+    """Return the lines on the car's state: lamp, time in the state, switches, and what the AI computer says."""
     state = picture.as_state
     light = light_of(state)
     lamp = "" if light.colour not in _LIGHT_STYLES else "○ " if dark_phase and light.flashes else "● "

@@ -119,6 +119,7 @@ class Memory:
         return frames
 
     def _keep_states(self, frames: Frames) -> None:
+        """Keep those of the frames at which a state changed, and those that show that there was no pause."""
         plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
         for can_id, states_of in _states_of().items():
             rows: Ints = np.flatnonzero(plain & (frames.can_id == can_id))

@@ -173,6 +173,7 @@ class _Moment:
         self._window = record.frames.only(record.frames.t_ns > now_ns - WINDOW_NS)
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
+        """Return the picture of this moment; `emergency` is the brake that lasts, with its causes."""
         record, now_ns = self._record, self._now_ns
         span = record.series(sig.AS_STATE).span_at(now_ns)
         status = self._fresh(sig.STATUS)
@@ -305,6 +306,7 @@ class _Moment:
         return tuple(self._message(key, counts.get(key, 0), changed.get(key, ())) for key in keys)
 
     def _message(self, key: int, count: int, changed: tuple[int, ...]) -> MessagePicture:
+        """Return the picture of one message, of which `count` frames came in the last seconds."""
         layout = self._record.decoder.databases.layouts.get(key)
         newest = self._memory.newest.get(key)
         expected_ns = self._expected_ns(key)

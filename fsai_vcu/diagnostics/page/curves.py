@@ -122,6 +122,7 @@ def _finite(series: Series, factor: float = 1.0) -> Series:
 
 
 def _speeds(record: Record) -> tuple[Curve, ...]:
+    """Return the curves of speed: the mean of the wheels, each wheel, and what other sources measured."""
     per_rpm = record.car.speed_of_wheel_rpm(1.0)
     wheels = [_finite(record.series(signal), per_rpm) for signal in sig.WHEELS]
     of_all = [wheel.values for wheel in wheels if len(wheel) == len(wheels[0])]

@@ -64,6 +64,7 @@ class Server(serving.Server):
         return begun(web.Response(body=part(request.path[1:]).encode()), _PARTS[request.path])
 
     async def _stream(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
+        """Send events to one viewer until it leaves or the server ends."""
         response = begun(web.StreamResponse(), "text/event-stream")
         writer = await response.prepare(request)
         assert connection.transport and writer

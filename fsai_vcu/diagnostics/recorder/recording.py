@@ -155,6 +155,7 @@ class Recording:
             self._report(f"{path} is left as it is: {error.strerror or error}")
 
     def _begin(self, now_ns: int) -> _Segment:
+        """Begin a segment: make room, write its sidecar, and open its files."""
         place = self._place
         place.begin_segment()
         place.make_room(0)
@@ -206,6 +207,7 @@ class Recording:
     # ------------------------------------------------------------ writing
 
     def _write(self, now_ns: int) -> None:
+        """Write what waits, and go from segment to segment as their bounds ask for."""
         while True:
             segment = self._segment
             if segment is not None:

@@ -121,6 +121,8 @@ def _bounded_reader(file: IO[bytes]) -> StreamReader:
     from mcap.stream_reader import StreamReader
 
     class Reader(StreamReader):
+        """Reader of records that refuses zeros."""
+
         def _read_record(self, opcode: int, length: int) -> McapRecord | None:
             if opcode == 0:
                 raise ValueError("zeros")

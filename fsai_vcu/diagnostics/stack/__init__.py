@@ -183,6 +183,7 @@ class StackWatch:
     # ------------------------------------------------------------ what is wrong
 
     def findings(self) -> Iterator[Finding]:
+        """Yield everything that is wrong with the stack, and what to do about it."""
         for topic, ends in self.ends.items():
             yield from _of_ends(topic, ends)
         for topic, expected in TOPICS.items():
@@ -271,6 +272,7 @@ def _of_ends(topic: str, ends: Ends) -> Iterator[Finding]:
 
 
 def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
+    """Yield what is wrong with a topic's rate, its pauses and its stamps."""
     if heard.count > 1 and heard.rate_hz < least_hz:
         wrong = f"{heard.rate_hz:.1f} Hz, at least {least_hz / 0.9:.0f} are needed"
         yield Finding(

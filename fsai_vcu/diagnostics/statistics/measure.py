@@ -191,6 +191,7 @@ def _measure_channel(
     bitrate: int,
     off_ns: Sequence[tuple[int, int]],
 ) -> BusStatistics:
+    """Measure one channel of a log."""
     backwards, backwards_at_s = 0, None
     if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
         back = np.flatnonzero(frames.t_ns[1:] < frames.t_ns[:-1] - MS)  # less is two frames stamped on two processors

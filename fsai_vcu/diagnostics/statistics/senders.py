@@ -105,6 +105,7 @@ def _joined(found: list[SecondSender]) -> list[SecondSender]:
 
 
 def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[SecondSender]:
+    """Find stretches in which more than one sender used an identifier."""
     rows = np.flatnonzero(frames.can_id == can_id)
     rows = rows[(frames.flags[rows] | RECEIVED | SENT) == RECEIVED | SENT]
     if len(rows) < 2 or frames.t_ns[rows[0]] == frames.t_ns[rows[-1]]:

@@ -55,6 +55,7 @@ def _driving(record: Record, times: Ints, part_ns: TimeRange) -> Mask:
 
 
 def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    """Yield that steering went the other way than it was asked to."""
     measured, asked = record.series(sig.ANGLE), record.series(sig.STEER)
     if not len(measured) or not len(asked):
         return
@@ -76,6 +77,7 @@ def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
 
 
 def _wrong_axle(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    """Yield that torque was asked of an axle that has none to give."""
     for (can_id, asked_of, most_of), (_, others_asked, others_most) in (_AXLES, _AXLES[::-1]):
         asked, most = record.series(asked_of), record.series(most_of)
         if not len(asked) or not len(most) or not len(record.series(others_most)):

@@ -107,6 +107,7 @@ class _Judge:
     gone: frozenset[int] = field(default_factory=frozenset)
 
     def findings(self) -> Iterator[Finding]:
+        """Yield the findings on the bus, none of them twice."""
         bus = self.bus
         if not bus.frames:
             yield self._finding(True, "silent", f"nothing was received on {bus.channel}")
@@ -181,6 +182,7 @@ class _Judge:
             yield self._finding(False, "missing", f"never received: {', '.join(words)}")
 
     def _handshake(self, handshake: Handshake) -> Iterator[Finding]:
+        """Yield the findings on how the AI computer answers the HANDSHAKE."""
         if handshake.fault is not None:
             often = f"{handshake.wrong} of {handshake.echoes} echoes are wrong"
             text = f"the AI computer sends back {handshake.fault.value}: {often}"

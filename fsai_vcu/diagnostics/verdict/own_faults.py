@@ -226,6 +226,7 @@ def _parts(frames: Frames) -> Iterator[Frames]:
 
 
 def _twice(frames: Frames) -> Twice | None:
+    """Find the frames that are copies of others: the same identifier, payload and nearly the same time."""
     keys = keys_of(frames).astype(np.int64) | frames.channel.astype(np.int64) << 32
     plain = np.flatnonzero((frames.flags & ERROR) == 0)
     order = plain[np.argsort(keys[plain], kind="stable")]

@@ -119,6 +119,7 @@ class AckermannAdapter(Node):
     """Vehicle commands at a steady rate: from the newest command while the stack drives, else at rest."""
 
     def __init__(self, **options: object) -> None:
+        """Read the parameters and connect the interface. Raises NodeError for what cannot be."""
         super().__init__("ackermann_adapter", **options)
         self._settings = Settings(self, SETTINGS, lambda _name: None)
         self._car = CARS[self._settings.text("car")]
@@ -257,6 +258,7 @@ class AckermannAdapter(Node):
         return self._state is not None and self._state.as_state == AsState.AS_DRIVING
 
     def _tick(self) -> None:
+        """Send the due command: the stack's newest while it drives, else at rest; none once that one is too old."""
         self._pass_emergency()
         state = self._state
         if state is None:
@@ -286,6 +288,7 @@ class AckermannAdapter(Node):
                 self._confirmation.publish(ResetConfirmation(role=role, run_id=self._run.run_id))
 
     def _fill(self, command: VehicleCommand, state: VehicleState) -> None:
+        """Fill the command in from the stack's Ackermann command, within the car's limits."""
         drive, limit = self._drive, self._car.steer_max_rad
         # Many stacks leave the stamp empty: then the command is as old as its arrival.
         unset = self._stamp is None or not nanoseconds(self._stamp)

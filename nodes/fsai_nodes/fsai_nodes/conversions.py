@@ -89,6 +89,7 @@ def path_to_msg(xy_m: np.ndarray, stamp: Time) -> Path:
 
 
 def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
+    """Make a status and a path of the plan, both with `stamp`."""
     status = PlannerStatus(
         run_id=plan.run_id,
         mission=int(plan.mission),
@@ -108,6 +109,7 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
 
 
 def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan:
+    """Make a plan of a status and its path; `t_sensor_ns`: the monotonic time of their stamp."""
     points = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
     return Plan(
         t_sensor_ns=t_sensor_ns,
@@ -173,6 +175,7 @@ def motion_from_state(message: VehicleStateMsg, t_ns: int) -> Motion:
 
 
 def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
+    """Make an Odometry of the motion, with its standard deviations as covariances."""
     message = Odometry()
     message.header.stamp = stamp
     message.header.frame_id = ODOM_FRAME
@@ -198,6 +201,7 @@ _STATES = ("shutdown_cause", "steering_status", "op_state", "ts_state", "ebs_sta
 
 
 def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> VehicleStateMsg:
+    """Make a VehicleState of the report; ages in s, NaN for what was never received."""
     message = VehicleStateMsg()
     message.header.stamp = stamp
     message.header.frame_id = ODOM_FRAME

@@ -247,6 +247,7 @@ def _shown(each: Argument) -> str:
 
 
 def main() -> int:
+    """Run the command line: list the arguments, or start the processes; return the exit status."""
     words = sys.argv[1:]
     if {"-h", "--help", "--show-args"} & set(words):
         print(__doc__, *map(_shown, arguments()), sep="\n")

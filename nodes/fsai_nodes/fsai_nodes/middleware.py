@@ -88,6 +88,7 @@ class TakingExecutor(SingleThreadedExecutor):  # type: ignore[misc]  # rclpy has
 
 
 def _take_and_handle(kind: str) -> Callable[[Any, Any], Any]:
+    """Return the method by which a Humble executor takes an entity of this kind and gives the call that handles it."""
     execute = getattr(SingleThreadedExecutor, f"_execute_{kind}")
 
     def taken(executor: Any, entity: Any) -> Callable[[], Coroutine[Any, Any, None]]:

@@ -49,6 +49,7 @@ class NodeParameter:
     live: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
+        """Return the parameter's descriptor, as ROS tools show it."""
         constraints = []
         if self.choices:
             constraints.append("one of: " + ", ".join(self.choices))

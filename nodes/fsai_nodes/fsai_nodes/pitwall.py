@@ -140,6 +140,7 @@ class PitWall(Listener):
         return {"path_cm": _cm(to_odometry(there, plan.path_m)), "borne_out": borne_out, "stop": stop}
 
     def _words(self, plan: Plan | None, now_ns: int) -> Iterator[Row]:
+        """Yield the lines on bridge, planner and controller, each with its level."""
         state = self._scene.state
         urgent = "warning" if state.as_state == AsState.AS_DRIVING else ""
         if state.emergency:

@@ -24,6 +24,8 @@ Level = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True, slots=True)
 class ReportLine:
+    """Line for the log, with its level."""
+
     text: str
     level: Level = "info"
 
@@ -72,6 +74,7 @@ class News:
         self._said_ns: dict[str, int] = {}
 
     def of(self, report: BridgeReport) -> list[ReportLine]:
+        """Return the lines on what is new in this report."""
         lines = [
             ReportLine(text, level)
             for key, text, quiet, level in self._facts(report)

@@ -143,6 +143,7 @@ class VcuBridge(LifecycleNode):
     tells_systemd = True  # the CAN loop does: its watchdog is fed by cycles that met their deadline, by nothing else
 
     def __init__(self, **options: object) -> None:
+        """Declare the parameters, and configure and activate the node unless set otherwise."""
         super().__init__("vcu_bridge", **options)
         self._trouble = ""  # why the last transition failed
         self._starting = True  # this constructor runs
@@ -218,6 +219,7 @@ class VcuBridge(LifecycleNode):
 
     @_reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Have the loop take the interface and run, and publish from then on what it reports."""
         configured, loop = self._configured, self._process
         assert configured is not None and loop is not None, "the lifecycle activates only what is configured"
         try:
@@ -341,6 +343,7 @@ class VcuBridge(LifecycleNode):
     # ------------------------------------------------------------ from ROS to the car
 
     def _on_command(self, message: VehicleCommand, came: Message) -> None:
+        """Hand a command that counts to the loop."""
         loop = self._loop
         if loop is None:
             return
@@ -429,6 +432,7 @@ class VcuBridge(LifecycleNode):
         return self._culprit.named(loop.report(), self._whose_silence)
 
     def _publish(self) -> None:
+        """Publish what the loop last reported. Raises NodeError where the loop has ended by itself."""
         loop = self._loop
         if loop is None:
             return
@@ -471,6 +475,7 @@ class VcuBridge(LifecycleNode):
         self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
 
     def _publish_motion(self, report: BridgeReport) -> None:
+        """Publish the motion and the sensors' values, where somebody reads them."""
         if report.motion.t_ns != self._last_motion_ns:  # of a car that is not received there is no motion
             self._last_motion_ns = report.motion.t_ns
             stamp = self._clocks.stamp_of(report.motion.t_ns)
@@ -548,6 +553,7 @@ class VcuBridge(LifecycleNode):
                 handle.publish_feedback(_feedback(report))
 
     def _result_of(self, handle: ServerGoalHandle) -> RunMission.Result:
+        """End a goal, and return its result."""
         following = self._goals.pop(bytes(handle.goal_id.uuid))
         outcome, report = following.outcome, following.report
         assert outcome is not None and report is not None, "executed only when there is an outcome"

@@ -51,6 +51,7 @@ class Visualization(Node):
     """Draws the scene while somebody looks."""
 
     def __init__(self, **options: object) -> None:
+        """Subscribe to what is drawn, and publish the car's model and its fixed frames once."""
         super().__init__("visualization", **options)
         self._settings = Settings(self, SETTINGS, lambda _name: None)
         self._clocks = Clocks(self)
