@@ -17,13 +17,13 @@ from fsai_vcu.runtime.configuration import usual_environment
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
 SERVICE_USER, OPERATORS = "fsai", "fsai-operators"
-# Whose keys these are; the others (sensors, observer) stay root's, who hands them to where they are needed.
+# Owners of these keys; the others (sensors, observer) stay root's, who hands them to where they are needed.
 OF_SERVICES = frozenset({"vcu_bridge", "cone_detector", "path_planner", "vehicle_controller"})
 OF_OPERATORS = frozenset({"operator", "listener", "visualization"})
 _INSTALLED_POLICY = Path("/usr/share/fsai/security/policy.xml")
 _CHECKOUT_POLICY = Path(__file__).resolve().parents[2] / "systemd" / "security" / "policy.xml"
 _DISTRIBUTION = Path("/opt/ros/jazzy")
-# What the distribution's setup file is to say again: our own ROS 2 may be another one, from the package index.
+# Variables that the distribution's setup file must set again: this process's ROS 2 may be the package index's.
 _OUR_OWN = {"LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH"}
 
 

@@ -429,7 +429,7 @@ class Sources:
         from fsai_vcu.diagnostics.log.live import LiveSource
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-        # Where nothing is shown before the end, all of it is, whenever that is asked for.
+        # A verb that shows nothing before the end shows all of it then, whenever the end is asked for.
         how_it_ends: AbstractContextManager[list[int]] = ending() if announced else nullcontext([])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with how_it_ends as asked, closing(LiveSource([name for name, _ in self._rules], waits=waits)) as source:

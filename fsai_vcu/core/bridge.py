@@ -92,7 +92,7 @@ class Bridge:
         self._unknown = shortened(codec.unknown, UNKNOWN_LENGTH)
 
         self._state = BridgeState(SupervisorState(run_id=first_run_id), standing_start(now_ns))
-        # What has come since the state was last looked at, by the fields of `vehicle` and `gps`: a cycle's thirty
+        # Images received since the state was last looked at, by the fields of `vehicle` and `gps`: a cycle's thirty
         # frames are taken in at once.
         self._vehicle_news: dict[str, Any] = {}
         self._gps_news: dict[str, Any] = {}

@@ -94,7 +94,7 @@ class Tally:
 
     def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
         """Name what should not be on the bus, in words."""
-        # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
+        # Named for as long as the car has to stand in AS_READY: the sender of a rare frame is seen before Go.
         found = [(t_ns, f"an intruder sends on our ids: {words}") for t_ns, words in self.intruders.values()]
         if self.other_revision_frames >= _OTHER_REVISION_FROM:
             found.append((self.other_revision_ns, self.other_revision))

@@ -41,7 +41,7 @@ class _Client:
 class Server(serving.Server):
     """Shows topics that are named beforehand."""
 
-    # Foxglove in a browser, on the desktop (its pages are files), and one that this machine serves itself.
+    # Foxglove in a browser, on the desktop (its pages are files), and a Foxglove that this machine serves itself.
     origins = ("https://app.foxglove.dev", "file://", "http://localhost:*", "http://127.0.0.1:*")
 
     def __init__(self, host: str, port: int, name: str, topics: Sequence[str]) -> None:

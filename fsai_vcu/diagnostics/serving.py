@@ -23,7 +23,7 @@ from fsai_vcu.interface.errors import UserError
 
 MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE: Final = 16  # connections from one address: nobody can hold all places
-TIMEOUT_S = 10.0  # who asks nothing, or takes nothing, for so long is gone
+TIMEOUT_S = 10.0  # a client that asks nothing, or takes nothing, for so long is gone
 HEADERS: Final = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -141,7 +141,7 @@ class Server:
         except ValueError:
             return False
 
-    # What a server has of its own.
+    # Methods that each kind of server has of its own.
 
     async def answer(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
         raise NotImplementedError

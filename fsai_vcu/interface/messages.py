@@ -27,7 +27,7 @@ from fsai_vcu.interface.enums import (
 from fsai_vcu.interface.fields import NOT_READ, Message, Signal, by_message, fields_of
 from fsai_vcu.interface.values import Value
 
-# What follows where a database lacks a signal.
+# Consequences of a database that lacks a signal.
 _NOT_SENT: Final = "not sent"
 _NO_FAULT: Final = "these faults are not seen"
 _NO_SWITCH: Final = "that a switch goes off is not seen"

@@ -37,7 +37,7 @@ BITRATE = 500_000  # interface specification v4.0: 500 kbit/s
 _SHORT = 60  # characters of a value in a sentence about it
 QUEUE_FRAMES = 10  # two cycles of commands; more would be stale before they left
 
-# What a text must look like, and the words for it. Services run in /, so a path that is not whole leads nowhere there.
+# Forms that a text must have, and the words for them. Services run in /, where a path that is not whole leads nowhere.
 _BUS = (r"[\w.-]{1,15}|[\w-]+:\S+", "a CAN interface such as can0, or KIND:CHANNEL")  # linux/if.h: IFNAMSIZ
 _PATH = (r"/[^\0]*", "a whole path, from / on")
 _PATH_OR_EMPTY = (rf"({_PATH[0]})?", _PATH[1])

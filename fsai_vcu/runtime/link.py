@@ -117,7 +117,7 @@ class LoopReport(Value, frozen=True, tag=True):
     bridge: BridgeReport
     reopened: Count = 0  # how often a lost bus was opened again
     deadline_misses: Count = 0
-    # What of real-time scheduling was not allowed, in words.
+    # Parts of real-time scheduling that were not allowed, in words.
     scheduling_refused: Annotated[tuple[Sentence, ...], Meta(max_length=4)] = ()
     link: LinkTrouble = LinkTrouble()  # of the loop's end
 

@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 _IDLE_WAIT_S, _BLIND_WAIT_S = 0.02, 0.001
 _FULL_COLLECTION_EVERY = 3000  # cycles
 
-# What the bridge has use for; intruders on the AI's own ids are received on purpose.
+# Frames that the bridge has use for; intruders on the AI's own ids are received on purpose.
 RECEIVE_IDS = frozenset({0x120, *range(0x500, 0x503), *range(0x510, 0x515), *range(0x520, 0x527), *range(0x600, 0x641)})
 
 

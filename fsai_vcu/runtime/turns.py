@@ -225,7 +225,7 @@ class Turns:
 
     def lost(self, why: str, now_ns: int) -> tuple[Action, ...]:
         """The bus is lost: it is opened again after a pause, and the pauses grow until a cycle has been sent whole."""
-        self._loud = self._pause_ns == REOPEN_FIRST_NS  # one that opens and takes nothing is lost again and again
+        self._loud = self._pause_ns == REOPEN_FIRST_NS  # a bus that opens and takes nothing is lost again and again
         self._wait(now_ns)
         self._bridge.bus_lost(why, now_ns)
         return self._noted(logging.ERROR, f"bus lost: {why}"), Do.CLOSE, *self._report(now_ns, at_once=True)

@@ -266,7 +266,7 @@ class Controller:
         here = line.beside(0.0, 0.0)[0]
         sure = min(1.0, plan.confidence / settings.confidence_sure)
         stops = plan.confidence < settings.confidence_min
-        # Where the car stops it does so with its nose.
+        # The nose of a car that stops must not pass the end of the supported path.
         ahead_m = plan.supported_m - (self._car.nose_ahead_of_rear_axle_m if stops else 0.0)
         end_m = min(float(line.along_m[-1]), here + ahead_m)
         allowed = self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS

@@ -20,7 +20,7 @@ BACK_MAX_1PM = 0.12  # … and no more sharply, beside the path's own curvature
 SLOWEST_MPS = 4.0  # a slower car steers as at this speed
 
 HORIZON_STEPS, HORIZON_STEP_S = 20, 0.05
-# What weighs the same: so far beside the path, so fast away from it, and so much jerk across.
+# These weigh the same: so far beside the path, so fast away from it, and so much jerk across.
 DEVIATION_M, DRIFT_MPS, JERK_MPS3 = 0.2, 0.6, 14.0
 
 

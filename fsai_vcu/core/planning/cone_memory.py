@@ -157,7 +157,7 @@ class ConeMemory:
         colored, rows = SIDES.take(color), rows_of(here)
         by_color = by_chain(colored, rows)
         lane = known["side"][index]
-        # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
+        # A cone's side of the lane, look after look, outvotes a colour that contradicts it.
         contrary = within(by_color + lane / OUTVOTES, 1.0)
         by_lane = within(lane / 4.0, 0.6)
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))

@@ -507,7 +507,7 @@ def _centred(
     usable = (off < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5)
     stands = np.where(usable, sides, 0.0)
     sides = np.where(cones.side * sides > -0.5, stands, 0.0)
-    # Of cones of one side beside each other only the nearer one is the border.
+    # Where cones of one side stand beside each other, only the nearer one is the border.
     close = np.abs(along[:, None] - along) < 3.0
     if not np.count_nonzero(sides != stands):
         sides = stands

@@ -144,7 +144,7 @@ class LapStrategy:
         """Correct the line by the gate, or by the map, and count the passages of it."""
         gate = cones.xy_m[cones.color == BIG]
         if self._racing is not None and self._racing.located:
-            # Where the car is in the map says it better than the gate.
+            # The car's place in the map tells it better than the gate.
             self._state = replace(self._state, line=replace(self._state.line, at_distance_m=motion.distance_m))
         elif len(gate) >= 2 and len(path) >= 3:
             middle = _gate_across(gate, path, self._half_width_m)

@@ -105,7 +105,7 @@ class GateState(Value, frozen=True):
     tried_brake: bool = False
     awaiting: bool = False  # a cycle was made and it is not reported yet whether it went out
 
-    # What else it has seen for itself
+    # Other things that the gate has seen for itself
     tried_selected: bool = False  # the cycle that is out now says SELECTED
     acknowledged_run_id: int | None = None  # the last run for which such a cycle went out whole
     pulses: Pulses = NO_PULSES
@@ -317,7 +317,7 @@ def _steering(cycle: Cycle, request: Request) -> Request:
     step_ns = 0 if state.cycle_ns is None else max(0, min(cycle.now_ns - state.cycle_ns, _LONGEST_STEP_NS))
     most_deg = config.steer_rate_degps * step_ns / 1e9
     turned_deg = max(state.steer_deg - most_deg, min(state.steer_deg + most_deg, wanted_deg))
-    # The limit after the rate: one that the car lowers is obeyed at once, however far that is.
+    # The limit comes after the rate: a limit that the car lowers is obeyed at once, however far that is.
     return replace(request, steer_deg=max(-limit_deg, min(limit_deg, turned_deg)), reasons=reasons)
 
 

@@ -112,7 +112,7 @@ def check_wheels(
     doubted: the newest frame of 0x525 was not believed. A wheel that is believed again and does not fit has not fitted
     since then.
     """
-    # What we ask for once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
+    # A request made once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
     explains = check.implausible_since_ns is None
     until = now_ns + config.slip_memory_ns
     spin_until = until if explains and asked.torque_requested else check.spin_until_ns

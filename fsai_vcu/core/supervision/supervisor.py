@@ -248,7 +248,7 @@ class Latch(Value, frozen=True):
 class SupervisorState(Value, frozen=True):
     """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
 
-    # What 0x520 reported
+    # Reported by 0x520
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
@@ -262,7 +262,7 @@ class SupervisorState(Value, frozen=True):
     ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
     driving_since_ns: int | None = None
 
-    # What 0x525 reported, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
+    # Reported by 0x525, and by 0x526 of the wheels' turning (see wheel_speeds.Pulses)
     speeds_ns: int | None = None
     fastest_rpm: int = 0
     still_since_ns: int | None = None

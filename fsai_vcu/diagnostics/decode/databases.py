@@ -146,7 +146,7 @@ def _load(path: Path) -> tuple[Database, bool, str]:
         make_flags_unsigned,
     )
 
-    import cantools.database  # isort: skip  after ours, which see to it that it loads no more than it needs
+    import cantools.database  # isort: skip  after lean_cantools, which sees to it that cantools loads no more than it needs
     from cantools.database.can import Database  # isort: skip
 
     try:
@@ -253,7 +253,7 @@ def _is_plain(signal: Signal, length: int) -> bool:
     scale, offset = signal.scale, signal.offset
     if scale == 1 and offset == 0:
         return True
-    # Whether 64-bit integers can reckon what Python's unbounded ones do for cantools.
+    # True where 64-bit integers can reckon what Python's unbounded ones do for cantools.
     if signal.length == 64 and not signal.is_signed:
         return False
     most = 1 << (signal.length - 1 if signal.is_signed else signal.length)

@@ -30,7 +30,7 @@ class MessageText:
         self.signals = signals
         self.before: list[str] = []
         if short:
-            name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # who sends to whom is seen from the identifier
+            name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # sender and receiver are seen from the identifier
             said = f" {name}" if name != "Status" else ""  # as 0x510 and 0x520 are called, which are known by sight
             self.before = [said, *[""] * (len(layout.signals) - 1)][: len(layout.signals)]
             self.end = "\n" if layout.signals else f"{said}\n"
@@ -82,7 +82,7 @@ class SignalText:
         if not len(self._known):
             return self._written(bits)
         if not self._complete and not (known := np.take(self._known, bits)).all():
-            # Where many come up, the rest is learned with them.
+            # Once many have come up, the rest is learned with them.
             many = 4 * np.count_nonzero(self._known) > len(self._known) or len(self._known) <= _SMALL
             self._learn(np.flatnonzero(~self._known) if many else np.unique(bits[~known]))
         return self._table.at(bits)

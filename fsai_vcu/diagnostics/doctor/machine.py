@@ -92,7 +92,7 @@ class Machine:
     kernel_has_vcan: bool = False
     may_be_real_time: bool = False  # whether this user's processes may
     domain_id: str = "0"
-    transport: str = ""  # whom this shell's ROS 2 programs reach, where that is not the loopback alone
+    transport: str = ""  # reach of this shell's ROS 2 programs, where that is not the loopback alone
     wanted: Wanted | None = None
     configuration_problems: tuple[str, ...] = ()
     interfaces: tuple[str, ...] = ()  # CAN interfaces there are
@@ -107,7 +107,9 @@ class Machine:
     clock_year: int = 0
     disk_free_mib: int | None = None  # where bus logs go
     folder_problem: str = ""  # why the log folder cannot be used
-    file_problems: tuple[tuple[str, str], ...] = ()  # configuration and limits: whom they are closed or open to
+    file_problems: tuple[
+        tuple[str, str], ...
+    ] = ()  # configuration and limits: closed or open to whom
     changed_since_start: tuple[str, ...] = ()  # files that are newer than the running bridge, which has read them once
     user: str = ""
     groups: tuple[str, ...] = ()

@@ -57,7 +57,7 @@ def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
     """
     begin_ns, end_ns = part_ns
     mixed = [*within(part_ns, record.second_cars)]
-    # Of two who ask, the car can follow one.
+    # The car can follow only one of two senders.
     asked = () if mixed or any(within(part_ns, record.second_senders)) else mismatches(record, part_ns)
     kinds = (emergencies(record), refusals(record), early_stops(record), asked)
     found = [list(islice(within(part_ns, kind), MOST_INCIDENTS + 1)) for kind in kinds]

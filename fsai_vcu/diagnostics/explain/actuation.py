@@ -125,7 +125,7 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     fastest = wheels.max(axis=0)
     braked = np.maximum(column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)) > 0
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
-    # Of one who says NEUTRAL, or not RUNNING, no torque is to be expected: standing.py names that.
+    # No torque is to be expected with NEUTRAL, or without RUNNING: standing.py names that.
     meant = ~np.isin(column(sig.DIRECTION), _NO_DRIVE[0]) if len(record.series(sig.DIRECTION)) else ~braked
     if len(record.series(sig.MISSION_STATUS)):
         meant &= ~np.isin(column(sig.MISSION_STATUS), _NO_DRIVE[1])

@@ -228,7 +228,7 @@ def _still(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
     length = ms(still.end_ns - still.begin_ns)
     words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
     stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))
-    # A VCU that hears nobody says so after its patience: one that says nothing for longer was not heard itself.
+    # A VCU that hears nobody says so after its patience: if it says nothing for longer, it was not heard itself.
     slug = "status_frozen" if t_ns - still.begin_ns >= COMMS_LOST_NS + DEAD_NS else "handshake_stands"
     return [candidate(slug, sureness, stands_at)]
 
@@ -324,7 +324,7 @@ def switched(
 
 def _radio(record: Record, t_ns: int) -> Iterator[Candidate]:
     """The remote's own words (0x181), and what a Go that vanishes may mean."""
-    # Which of its two values means pressed is not in the interface: what held before the edge was released.
+    # The interface does not say which of its two values means pressed: before the edge it counts as released.
     for edge in record.changes(sig.REMOTE_ESTOP, t_ns - 2 * S, t_ns + REMOTE_LATE_NS)[:1]:
         step = sig.REMOTE_ESTOP.step(edge.begin_ns, f"the remote's ESTOP_STATUS {edge.before:g} → {edge.value:g}")
         yield shown("remote_estop", step)

@@ -278,7 +278,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
 def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
     """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
     if (record.fastest_wheel.between(t_ns - BELIEVED_NS, t_ns).values >= CONFIG.wheel_max_rpm + 1).all():
-        return []  # none of them was, nor is one that never came
+        return []  # none of them was, nor is a frame that never came
     frames: list[Any] = []
     for kind, can_id, signals in ((messages.WheelCounts, 0x526, sig.PULSES), (messages.WheelSpeeds, 0x525, sig.WHEELS)):
         times = record.times(can_id)

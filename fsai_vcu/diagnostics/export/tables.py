@@ -73,7 +73,7 @@ def table_of(layout: MessageLayout, name: str, channel: str) -> Table:
     columns = []
     for signal in layout.signals:
         choices = signal.choices if signal.scale == 1 and signal.offset == 0 else {}
-        # Of a message that is not plain (multiplexed, say) a frame need not have every signal.
+        # A frame of a message that is not plain (multiplexed, say) need not have every signal.
         columns.append(Column(signal.name, signal.unit, kind_of(signal), not layout.plain, choices))
     senders = f" from {', '.join(layout.senders)}" if layout.senders else ""
     digits = 8 if layout.extended else 3

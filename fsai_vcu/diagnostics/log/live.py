@@ -26,7 +26,7 @@ _ALL_INTERFACES: Final = "any"  # as candump calls it
 _WAIT_S: Final = 0.05
 _AGAIN_S: Final = 0.2
 _RECEIVE_BUFFER_BYTES: Final = 8 << 20  # some ten thousand frames: seconds of a full bus
-_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for those who may
+_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for a process that may
 _MOST_WAITING: Final = 1_000_000  # frames that were not fetched
 
 

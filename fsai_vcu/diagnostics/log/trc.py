@@ -33,7 +33,7 @@ from fsai_vcu.interface.units import MS
 HEAD: Final = re.compile(r";\$FILEVERSION=|;#{14}|\d+\)\s+\d+(\.\d+)?\s", re.IGNORECASE)
 """A line that tells this format."""
 
-# Of most rows: by the letter of their column in versions 2 and 3, and in the order of each version 1.
+# Patterns of most rows: by the letter of their column in versions 2 and 3, and in the order of each version 1.
 _ROW: Final = {
     "N": rb" *(?P<number>\d{1,9})",
     "O": rb"(?P<time>\d{1,12})(?:\.(?P<decimals>\d{1,6}))?",

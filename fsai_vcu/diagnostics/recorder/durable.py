@@ -54,7 +54,7 @@ class DurableFile:
         """Close the file without a `push`."""
         os.close(self._descriptor)
 
-    # What a writer of a format needs of a stream.
+    # Methods that a writer of a format needs of a stream.
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
         self._waiting += data

@@ -89,7 +89,7 @@ class Recording:
         self.taken = 0
         self.messages = 0
         self.lost = 0
-        self.dropped = 0  # frames that never came here, for the kernel had no room for them: who listens knows
+        self.dropped = 0  # frames that never came here, for the kernel had no room for them: the listener knows
         self._repair_last()
         self._segment: _Segment | None = self._begin(now_ns)
 

@@ -31,14 +31,14 @@ CLOSE: Final = 0.75  # of a period
 LONG_EXCESS: Final = 1.09
 SLOW_NS: Final = 2 * S  # in which one is told that sends less often than the other, and the same
 SLOW_EXCESS: Final = 1.08
-AROUND: Final = 3  # frames before and after one that contradicts them
+AROUND: Final = 3  # frames before and after a frame that contradicts them
 EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender's would
 _BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after the one before
 REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
 APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
 FEW_BITS: Final = 4  # a signal this short is a flag, a state or a counter: any other value of it is another word
 ECHO: Final = "HANDSHAKE"  # follows the VCU, so it may well change and change back
-BEFORE: Final = 300  # frames: after a longer pause than these take, one that catches up may contradict itself
+BEFORE: Final = 300  # frames: after a longer pause than these take, a sender that catches up may contradict itself
 AHEAD_NS: Final = 5 * PERIOD_NS
 TOGETHER_NS: Final = 500 * MS
 
@@ -122,7 +122,7 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
         if contradicting.any():
             proof = "a frame comes between two others and says something else than both"
             return _stretches(frames, rows, contradicting, proof, payloads=True)
-        # One that sends less often than the other: by the period that this really has, for a little fast is not two.
+        # A second sender may send less often: count by the period that the message really has, a little fast is not two.
         period_ns = min(PERIOD_NS, _period_ns(t_ns))
         many = _too_many(t_ns, SLOW_NS, SLOW_EXCESS, period_ns)
         if many.any():  # the windows begin before it and end after it

@@ -395,7 +395,7 @@ def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
 
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
-    # Of conditions that all have to be met, each that is not is named.
+    # Each unmet condition is named, since all have to be met.
     refused = incident.kind is IncidentKind.REFUSAL
     each = [one for one in incident.candidates[1:] if refused and one.sureness >= Sureness.SHOWN]
     named = dict.fromkeys(sentence(one) if refused else one.cause.words for one in (first, *each))

@@ -115,7 +115,7 @@ class _Judge:
         yield from self._times()
         stopped = list(self._together_stopped())
         self.gone = frozenset(can_id for finding in stopped for can_id in finding.can_ids)
-        # That an AI computer fell silent is a cause; that the log ends without the car is said beside it.
+        # An AI computer that fell silent is a cause; a log that ends without the car is said beside it.
         yield from (
             one for one in stopped if AI_IDS[0] not in one.can_ids or not self._is_told(AI_IDS[0], (one.t_ns or 0) / S)
         )

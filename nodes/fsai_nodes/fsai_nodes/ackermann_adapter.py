@@ -160,7 +160,7 @@ class AckermannAdapter(Node):
     def _connect(self) -> None:
         """Connect what the interface has: commands, flags, services, and what the stack is told."""
         one, door = self._interface, self._door
-        # As best effort it is received, whatever the stack promises.
+        # A best-effort subscription receives it, whatever the stack promises.
         commands = ros_type(f"ackermann_msgs/{one.command_type}")
         door.subscription(commands, one.command, self._on_command, qos=SENSOR, refused=self._input.refused)
         if one.driving:

@@ -17,7 +17,7 @@ from fsai_msgs.msg import Cone, ConeArray, VehicleState
 from fsai_nodes.conversions import motion_from_state, odometry_to_msg
 from fsai_vcu.interface.enums import Ami, AsState
 
-FRAME = "base_footprint"  # the teams' name for the car; ours is the rear axle's centre on the ground
+FRAME = "base_footprint"  # the teams' name for the car; here its origin is the rear axle's centre on the ground
 RPM_PER_TURN_PS = 60.0
 
 # ---------------------------------------------------------------- numbers and words

@@ -143,7 +143,7 @@ class Input:
         self._received_ns: int | None = None
         self._age_ns = 0
         self._said = False
-        self._publishers: list[str] = []  # who did last: one that has ended is not in the ROS graph any more
+        self._publishers: list[str] = []  # the last ones: a node that has ended is not in the ROS graph any more
         self._look_ns = 0  # the next time: the name of a publisher may stay unknown, and to ask at each message is slow
 
     def received(self, now_ns: int, age_ns: int = 0) -> None:

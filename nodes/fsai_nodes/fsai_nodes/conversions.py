@@ -195,7 +195,7 @@ def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
 # ---------------------------------------------------------------- vehicle state
 
 
-# Of 0x520, by the same names in the message.
+# Fields of 0x520 that have the same names in the message.
 _FLAGS = ("go_signal", "as_switch", "ts_switch", "shutdown_request", "fault", "warning")
 _STATES = ("shutdown_cause", "steering_status", "op_state", "ts_state", "ebs_state")
 

@@ -53,7 +53,7 @@ _DRIVE = Parts(
     acceleration=Number(-1e3, 1e3),
     jerk=UNREAD,
 )
-# Of a parameter's value the parameter's own declaration decides; here only that it is of a type there is, and short.
+# A parameter's own declaration decides on its value; here only that it is of a type there is, and short.
 _LISTS = {f"{kind}_array_value": Several(FREE, 1000) for kind in ("byte", "bool", "integer", "double")}
 _VALUE = Parts(
     type=Whole(0, 9),

@@ -30,7 +30,7 @@ from fsai_nodes.qos import TOPICS
 from fsai_vcu.interface.units import S
 
 RECORDED_BYTES = 16 * 1024 * 1024  # of a message that is only recorded
-KEPT_RESULTS_S = 60  # for whoever asks for a goal's result late
+KEPT_RESULTS_S = 60  # for a client that asks for a goal's result late
 MOST_GOALS = 16  # followed at once
 _LOOK_EVERY_NS = S // 5  # for a sender that is not known yet: to ask at each message is slow
 

@@ -21,7 +21,7 @@ from fsai_nodes.middleware import Take, TakingExecutor
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.interface.units import S
 
-NOTHING_BUT_NS = S  # one that has only raised for so long says so
+NOTHING_BUT_NS = S  # a callback that has only raised for so long says so
 
 
 class NodeExecutor(TakingExecutor):

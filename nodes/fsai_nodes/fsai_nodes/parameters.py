@@ -262,7 +262,7 @@ class Settings:
         refused = []
         for name in given:
             if name in scattered.of_files:
-                # Other nodes read that file, too: only what is nearly a name of ours is likely to be meant for us.
+                # Other nodes read that file, too: only what is nearly one of these names is likely to be meant.
                 if get_close_matches(name, self._table, n=1):
                     self._node.get_logger().warning(f"{self._unknown(name)} (under /** in a parameter file)")
             elif name not in scattered.unnamed:
