@@ -1,4 +1,4 @@
-"""`fsai-vcu config`: is /etc/fsai/fsai.toml right, and what does it come to?"""
+"""`fsai-vcu config`: whether /etc/fsai/fsai.toml is right, and which settings follow from it."""
 
 from __future__ import annotations
 

@@ -226,7 +226,7 @@ class Decoding:
         return frames.only(np.isin(frames.can_id, np.fromiter(self.databases.layouts, np.int64) & 0x1FFF_FFFF))
 
     def hear(self, frames: Frames) -> None:
-        """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
+        """Learn from frames which revision is spoken, and say so where another one is assumed."""
         found = None if self.told or not len(frames) else told_revision(frames)
         if found is None:
             return
@@ -538,7 +538,7 @@ def _unfolded(name: str, left_out: list[Path]) -> list[str]:
 
 
 def _beside_logs(path: Path) -> bool:
-    """True for a file that a recording or a drive leaves beside its log, and nobody takes for one."""
+    """True for a file that a recording or a drive leaves beside its log, and that nobody takes for a log."""
     return path.name.startswith(".") or path.suffix.lower() in _BESIDE
 
 

@@ -222,7 +222,7 @@ class Bridge:
         self._strike(Reason.INTRUDER, detail, frame.t_ns)
 
     def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
-        """Take a command into the slot. One that is not in order is refused whole, as if it had never come.
+        """Take a command into the slot. A command that is not in order is refused whole, as if it had never come.
 
         Returns why; empty when it was taken.
         """

@@ -58,7 +58,7 @@ class Server(serving.Server):
         return self
 
     def publish(self, messages: Iterable[Message]) -> None:
-        """To those who want them. Raises UserError where nobody listens any more."""
+        """Publish messages to the clients that want them. Raises UserError where nobody listens any more."""
         self.check()
         wanted = {number for client in tuple(self._clients) for number in tuple(client.subscribed)}
         found = [

@@ -1,4 +1,5 @@
-"""A server that only shows, for page and Foxglove alike: who may ask, how many may, and for how long one is waited for.
+"""A server that only shows, for page and Foxglove alike: clients that may ask, how many, and for how long it waits for
+them.
 
 aiohttp serves it, in one thread. A web page of others that runs in a browser on this machine must get nothing: by a
 name of its own that leads here (Host), or by asking from where it is (Origin).
@@ -209,7 +210,7 @@ def _name_in(host: str) -> str:
 
 
 def _plain(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """The IPv4 address in one that is written as IPv6."""
+    """The IPv4 address in an address that is written as IPv6."""
     return getattr(address, "ipv4_mapped", None) or address
 
 

@@ -1,4 +1,4 @@
-"""Finding and loading signal databases: our own, or an official file made fit for use.
+"""Finding and loading signal databases: the project's own, or an official file made fit for use.
 
 Official files of 2026 declare one-bit flags signed, so that a set bit would read -1: such signals become unsigned here.
 Signals that are absent are the codec's business.

@@ -140,7 +140,7 @@ class Slot:
         return scaled if is_float or offset or per_unit != 1 else whole
 
     def _clamped(self, value: Any) -> Any:
-        """A number beyond the range as it is sent: a logging field's, or one that is out by a float's rounding."""
+        """A number beyond the range as it is sent: a logging field's, or a number that is out by a float's rounding."""
         low, high, margin = self._low, self._high, self._margin
         if _is_number(value) and (self.field.saturates or low - margin <= value <= high + margin):
             return min(max(value, low), high)

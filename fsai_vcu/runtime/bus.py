@@ -2,8 +2,8 @@
 
 A frame either went out, or was dropped because the transmit queue is full (`send` returns False: a normal event), or
 the bus is gone (`BusLost`). Any python-can interface serves: `vcan0` and `can0` are SocketCAN channels, `loopback:NAME`
-is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. Where a sender receives its
-own frames nobody may drive: they would look like an intruder's.
+is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. On an interface whose sender
+receives its own frames nobody may drive: they would look like an intruder's.
 """
 
 from __future__ import annotations
@@ -292,7 +292,7 @@ def _words_of(error: can.CanError | OSError) -> str:
 
 
 def _allowed(may_send: Iterable[int] | None) -> frozenset[int] | None:
-    """The ids that may be transmitted. Raises ValueError for one that is reserved for the car."""
+    """The ids that may be transmitted. Raises ValueError for an id that is reserved for the car."""
     allowed = None if may_send is None else frozenset(may_send)
     reserved = sorted((allowed or frozenset()) & RESERVED_IDS)
     if reserved:

@@ -49,8 +49,8 @@ class InterfaceLock:
     """Holds the interface that `spec` names for this process, however it is spelt (vcan0 or socketcan:vcan0).
 
     An abstract Unix socket: no file is left behind, and its scope is the network namespace, as the interface's is. Any
-    user may take such a name, so it keeps out only when its holder is this user, root or the services' user. With
-    somebody else's the lock is not had, the log says who has it, and this process goes on: who else sends on the
+    user may take such a name, so it keeps out only when its holder is this user, root or the services' user. Where
+    another user holds it, this process goes on without the lock, and the log names the holder: another sender on the
     interface is seen there. Raises AlreadyRunning, or BusError where no lock can be had at all.
     """
 
@@ -86,7 +86,7 @@ class InterfaceLock:
         self._socket.listen(_PROBES)
 
     def answer_probes(self) -> None:
-        """Let go of those who have asked who holds the interface; to be called now and then."""
+        """Let go of the processes that have asked who holds the interface; to be called now and then."""
         with contextlib.suppress(OSError):
             while True:
                 self._socket.accept()[0].close()

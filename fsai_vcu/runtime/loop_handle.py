@@ -105,7 +105,7 @@ class LoopHandle:
         return not self._hangs
 
     def close(self) -> None:
-        """End the process as well. One that hangs is killed: its silence stops the car."""
+        """End the process as well. A process that hangs is killed: its silence stops the car."""
         hangs = not self.deactivate()
         self._link.close()
         if self._process is not None:
@@ -165,7 +165,7 @@ class LoopHandle:
     def _answer_to(
         self, what: Request, argument: LoopSettings | int | str | None, timeout_s: float, *, better_late: bool = True
     ) -> Answer | None:
-        """The answer; None where none comes in time. One that comes later is for nobody.
+        """The answer; None where none comes in time. An answer that comes later is for nobody.
 
         A request that cannot be sent is refused at once; so is one for which a loop that does not read has no room.
         """

@@ -1,8 +1,8 @@
 """A stand-in bus for machines without CAN: frames as datagrams that never leave this computer.
 
-Every frame is one UDP multicast datagram on the loopback interface (time to live 0), so several processes share a
-bus as they would share `vcan0`. A multicast sender receives its own: each datagram is tagged with its sender, and
-one's own are dropped. It has no bitrate, no acknowledge and no arbitration: it is for rehearsal, never for the car.
+Every frame is one UDP multicast datagram on the loopback interface (time to live 0), so several processes share a bus
+as they would share `vcan0`. A multicast sender receives its own: each datagram is tagged with its sender, and a process
+drops its own. It has no bitrate, no acknowledge and no arbitration: it is for rehearsal, never for the car.
 
 Registered with python-can as interface `fsai_loopback`, so that python-can's own tools can look at such a bus too.
 """

@@ -93,7 +93,7 @@ class Controller:
         self._max_steer_rad = min(self._car.steer_max_rad, settings.max_steer_rad)
 
     def max_speed_mps(self, mission: Ami, mapped: bool = False) -> float:
-        """The most that is driven in a mission, on a path that follows a map or on one that does not."""
+        """The most that is driven in a mission, on a path that follows a map or not."""
         settings = self._settings
         lap = settings.race_max_speed_mps if mapped else settings.lap_max_speed_mps
         own = {

@@ -130,7 +130,7 @@ def _beside_car(line: Floats) -> int:
 def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) -> tuple[Floats, _Begin | None]:
     """The part of an earlier middle, from behind the car on, that the cones agree with, and the search from its end.
 
-    They do up to the first one that stands in the way, or on the other side than it should, and as far as both borders
+    They do up to the first cone that stands in the way, or on the other side than it should, and as far as both borders
     go on without a gap.
     """
     if before is None or len(before) < 3:

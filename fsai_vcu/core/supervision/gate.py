@@ -131,7 +131,7 @@ def constant_power_nm(fastest_rpm: int) -> float:
 
 
 def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
-    """The cycle made last went out: whole or not. One that did not go out whole may have left anything it asked for."""
+    """Take in whether the cycle made last went out whole; if not, it may have left anything it asked for."""
     if not state.awaiting:
         return state
     torque, brake = state.tried_torque, state.tried_brake

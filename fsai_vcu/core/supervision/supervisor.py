@@ -17,7 +17,8 @@ latches: torque that is held back returns by itself with what was missing.
 
 A drive needs what only the car's own life brings, in this order and seen by this process (safety rules 2 and 10):
 AS_OFF, 5 s of AS_READY without Go, Go, AS_DRIVING (`NEXT`); and a mission that was acknowledged, with planner and
-controller reset for it. Each entry into AS_OFF, and each change of the AMI, begins a run, which forgets the last one's.
+controller reset for it. Each entry into AS_OFF, and each change of the AMI, begins a run, which forgets that of the
+last.
 
 "Stale after T" means an age of T or more; an age of T - 1 ns is still in time. docs/supervision.md shows the tables.
 """
@@ -479,7 +480,7 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
 def confirm(state: SupervisorState, role: str, run_id: int) -> SupervisorState:
     """`role` has forgotten everything before run `run_id`. Another run's confirmation says nothing.
 
-    Each says so once for a run: one who says it again is a new process, and after a restart of any process the car
+    Each says so once for a run: a role that says it again is a new process, and after a restart of any process the car
     does not resume driving (safety rule 10).
     """
     if role not in ROLES or run_id != state.run_id:

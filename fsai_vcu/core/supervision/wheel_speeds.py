@@ -97,7 +97,7 @@ class WheelBelief(Value, frozen=True):
 
 
 def on_counts(config: BridgeConfig, car: VehicleParameters, belief: WheelBelief, counts: WheelCounts) -> WheelBelief:
-    """A frame of 0x526: compare it with the readings since the one before."""
+    """A frame of 0x526: compare it with the readings since the frame before."""
     before, t_ns = belief.pulses, counts.t_rx_ns
     pulses = pulses_of(pulses_per_s(config, car), before, counts)
     newest = belief.newest_rpm

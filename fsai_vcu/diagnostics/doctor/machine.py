@@ -107,9 +107,7 @@ class Machine:
     clock_year: int = 0
     disk_free_mib: int | None = None  # where bus logs go
     folder_problem: str = ""  # why the log folder cannot be used
-    file_problems: tuple[
-        tuple[str, str], ...
-    ] = ()  # configuration and limits: closed or open to whom
+    file_problems: tuple[tuple[str, str], ...] = ()  # configuration and limits: closed or open to whom
     changed_since_start: tuple[str, ...] = ()  # files that are newer than the running bridge, which has read them once
     user: str = ""
     groups: tuple[str, ...] = ()

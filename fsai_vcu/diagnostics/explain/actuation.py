@@ -1,6 +1,6 @@
 """Check that the car does what it is asked: torque, steering, brakes and wheels of a drive, for any AI stack.
 
-Each check is a mask over the drive's cycles; one that holds for long enough is an incident with the cause's words.
+Each check is a mask over the drive's cycles; a check that holds for long enough is an incident with the cause's words.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A log as explanations read it: signals over time, gaps, the handshake, and who else was on the bus.
 
 Everything here comes from the frames alone, of both directions. Times are nanoseconds of the log's clock, made
-monotonic: where that clock was set back, what follows is moved forward by as much. Where it was set forward, whoever
-judges the log has moved the frames (verdict/own_faults.py).
+monotonic: where that clock was set back, what follows is moved forward by as much. Where it was set forward, the judge
+of the log has moved the frames (verdict/own_faults.py).
 """
 
 from __future__ import annotations
@@ -296,7 +296,7 @@ class Record:
     def lacks(self, can_id: int) -> bool:
         """Return true where no whole frame of that message came.
 
-        A frame that the database does not name counts as one that came.
+        A frame that the database does not name counts as received.
         """
         return not self.has(can_id) and can_id not in self.unknown_ids
 
@@ -397,7 +397,7 @@ class Record:
 
     @cached_property
     def middle_wheel(self) -> Series:
-        """The median of the four wheels, rpm: one that reads wrong does not change it much."""
+        """The median of the four wheels, rpm: a wheel that reads wrong does not change it much."""
         wheels = [self.series(signal) for signal in sig.WHEELS]
         return Series(wheels[0].t_ns, np.median([wheel.values for wheel in wheels], axis=0))
 
@@ -433,7 +433,7 @@ class Record:
     def power_cycles(self) -> Sequence[PowerCycle]:
         """Times in which the car was switched off and on, before or after its runs: as it has to be, and no fault.
 
-        It comes back in AS_INIT or AS_OFF, and what it counts begins again. One that was about to drive, or is back
+        It comes back in AS_INIT or AS_OFF, and what it counts begins again. A car that was about to drive, or is back
         within 3 s with its switches on, restarted by itself.
         """
         found = []

@@ -217,7 +217,7 @@ class AscRows(Rows):
         return self._on_the_bus(frame, way)
 
     def _on_the_bus(self, frame: LogFrame, way: str) -> LogFrame | None:
-        """The frame, unless it was only to be sent; one that nobody took is an error of the bus."""
+        """The frame, unless it was only to be sent; a frame that nobody took is an error of the bus."""
         if way == "txrq":
             self.told.note(REQUESTS)
             return None

@@ -148,7 +148,7 @@ def _singly(
     *,
     go_on: bool,
 ) -> int | None:
-    """Read lines one by one, up to the first one that changes how the following ones are read: that line, or None.
+    """Read lines one by one, up to the first that changes how the following ones are read: that line, or None.
 
     go_on: that does not end it, unless the times of what follows are others; the last line stands for it.
     """

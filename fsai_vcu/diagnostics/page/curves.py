@@ -53,7 +53,7 @@ class Plot:
     curves: tuple[Curve, ...]
 
     def summary(self) -> str:
-        """Summary of the plot in words, for those who do not see it."""
+        """Summary of the plot in words, for people who do not see it."""
         parts = []
         for curve in self.curves:
             values = curve.series.values

@@ -122,7 +122,7 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
         if contradicting.any():
             proof = "a frame comes between two others and says something else than both"
             return _stretches(frames, rows, contradicting, proof, payloads=True)
-        # A second sender may send less often: count by the period that the message really has, a little fast is not two.
+        # A second sender may send less often: count by the message's real period, for a little fast is not two.
         period_ns = min(PERIOD_NS, _period_ns(t_ns))
         many = _too_many(t_ns, SLOW_NS, SLOW_EXCESS, period_ns)
         if many.any():  # the windows begin before it and end after it

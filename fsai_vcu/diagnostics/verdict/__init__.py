@@ -315,7 +315,7 @@ def _told(explanation: Explanation) -> set[tuple[int | None, int]]:
 
 
 def _all_told(record: Record, told: set[tuple[int | None, int]]) -> bool:
-    """True where all error frames are near the one that a cause cites."""
+    """True where all error frames are near the error frame that a cause cites."""
     cited = [t_ns for can_id, t_ns in told if can_id is None and t_ns in record.error_ns]
     return any(record.error_ns[-1] - S <= t_ns <= record.error_ns[0] + S for t_ns in cited)
 

@@ -77,7 +77,7 @@ def judge(bus: BusStatistics, known: Known | None = None) -> list[Finding]:
 
 
 class _Pause(NamedTuple):
-    """The longest pause of a message. lost: longer than its loss; grave: and it is one that must not be lost."""
+    """The longest pause of a message. lost: longer than its loss; grave: and the message must not be lost."""
 
     message: MessageStatistics
     words: str
@@ -358,7 +358,9 @@ class _Judge:
 
 
 def _covers(named: int | None, can_id: int) -> bool:
-    """True where a message is silent with one that a cause names: a VCU's with its status, an AI computer's five."""
+    """True where a message is silent with a message that a cause names: a VCU's with its status, an AI computer's
+    five.
+    """
     if named == STATUS:
         return can_id not in AI_IDS
     return can_id in AI_IDS if named == AI_IDS[0] else can_id == named
@@ -374,7 +376,7 @@ def _shared(pause: list[_Pause]) -> tuple[int, int]:
 
 
 def _in_its_period(message: MessageStatistics) -> bool:
-    """True where it comes in its period at all: one that has another lacks no frames."""
+    """True where it comes in its period at all: a message with another period lacks no frames."""
     expected_ms, p50_ms = message.expected_ms, message.interval_ms.p50_ms
     return expected_ms is not None and p50_ms is not None and p50_ms < MISSING_PERIODS * expected_ms
 

@@ -104,7 +104,7 @@ OUTPUTS: dict[str, Output] = {}
 
 
 def _output(kind: str, of: type[Any] = VehicleState) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """The function (type, our message, whether the stack drives) makes the output of its name."""
+    """The function (type, the project's message, whether the stack drives) makes the output of its name."""
 
     def entered(make: Callable[..., Any]) -> Callable[..., Any]:
         OUTPUTS[make.__name__] = Output(kind, make, of)

@@ -102,7 +102,7 @@ class Door:
     ) -> Any:
         """Have `callback` called with each message on `topic` that fits.
 
-        refused: called with the sentence about one that does not. with_sender: `callback` gets a Message as well.
+        refused: called with the sentence about a message that does not. with_sender: `callback` gets a Message as well.
         Raises LookupError for a type that is not declared.
         """
         parts = declared(kind)

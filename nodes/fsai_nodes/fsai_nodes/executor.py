@@ -1,4 +1,4 @@
-"""Runs the callbacks of nodes; one that raises is reported, and ends nobody.
+"""Runs the callbacks of nodes; a callback that raises is reported, and ends nobody.
 
 Its output is missing, as if its input had not come. Only NodeError ends a node: it is the node's own word for it.
 A service whose callback raises answers with what its response is by default, success False, and why.

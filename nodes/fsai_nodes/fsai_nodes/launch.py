@@ -199,7 +199,9 @@ def bus_of(file: str) -> str:
 
 
 def run(started: Sequence[Program]) -> int:
-    """Start them all; when a needed one ends, or on SIGINT or SIGTERM, end the others. The status is that one's."""
+    """Start them all; when a needed one ends, or on SIGINT or SIGTERM, end the others. The status is that of the
+    needed process.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
     processes: dict[int, tuple[Program, subprocess.Popen[bytes]]] = {}
