@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -24,11 +25,16 @@ def messages(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value
 
 
-def trees(folders: tuple[str, ...]) -> Iterator[tuple[str, ast.Module]]:
-    """The modules in these folders, each with its place in the checkout."""
-    for folder in folders:
-        for path in sorted((CHECKOUT / folder).rglob("*.py")):
-            yield str(path.relative_to(CHECKOUT)), ast.parse(path.read_text(encoding="utf-8"))
+@cache
+def nodes_of(folders: tuple[str, ...]) -> list[tuple[str, ast.AST]]:
+    """The expressions, classes and functions of the modules in these folders, each with its module's place."""
+    return [
+        (str(path.relative_to(CHECKOUT)), node)
+        for folder in folders
+        for path in sorted((CHECKOUT / folder).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, (ast.Expr, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
+    ]
 
 
 @pytest.mark.parametrize("folder", ["fsai_vcu", "hil/fsai_hil", "nodes/fsai_nodes/fsai_nodes"])
@@ -63,8 +69,7 @@ def test_each_refused_word_is_listed_with_what_to_write() -> None:
 def test_a_docstring_names_its_thing_or_says_what_it_does() -> None:
     found = [
         f"{place}:{node.lineno}: {begin[0].strip()}"
-        for place, tree in trees(DESCRIBED)
-        for node in ast.walk(tree)
+        for place, node in nodes_of(DESCRIBED)
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         if (begin := FRAGMENT.match(node.value.value))
     ]
@@ -74,8 +79,7 @@ def test_a_docstring_names_its_thing_or_says_what_it_does() -> None:
 def test_a_long_public_function_has_a_docstring() -> None:
     found = [
         f"{place}:{node.lineno}: {node.name}"
-        for place, tree in trees(DESCRIBED)
-        for node in ast.walk(tree)
+        for place, node in nodes_of(DESCRIBED)
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and not node.name.startswith("_")
         if (node.end_lineno or node.lineno) - node.lineno + 1 >= LONG and not ast.get_docstring(node)
     ]
@@ -85,8 +89,7 @@ def test_a_long_public_function_has_a_docstring() -> None:
 def test_a_public_class_has_a_docstring() -> None:
     found = [
         f"{place}:{node.lineno}: {node.name}"
-        for place, tree in trees(DESCRIBED)
-        for node in ast.walk(tree)
+        for place, node in nodes_of(DESCRIBED)
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and not ast.get_docstring(node)
     ]
     assert not found
