@@ -45,7 +45,7 @@ class Server(serving.Server):
     origins = ("https://app.foxglove.dev", "file://", "http://localhost:*", "http://127.0.0.1:*")
 
     def __init__(self, host: str, port: int, name: str, topics: Sequence[str]) -> None:
-        """Raises OSError."""
+        """Listen on host and port. Raises OSError."""
         super().__init__(host, port)
         self._name = name
         self._numbers = {topic: number for number, topic in enumerate(topics, 1)}

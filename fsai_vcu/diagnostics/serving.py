@@ -1,5 +1,4 @@
-"""A server that only shows, for page and Foxglove alike: clients that may ask, how many, and for how long it waits for
-them.
+"""Server that only shows, for page and Foxglove alike: who may ask, how many, and for how long it waits for them.
 
 aiohttp serves it, in one thread. A web page of others that runs in a browser on this machine must get nothing: by a
 name of its own that leads here (Host), or by asking from where it is (Origin).
@@ -45,7 +44,7 @@ class Server:
     """Origins from which a page may be besides this server. '*' as its port: from any."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises OSError."""
+        """Listen on host and port. Raises OSError."""
         self.host = host
         self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -177,7 +176,7 @@ class Connection(web.RequestHandler):
         super().connection_lost(exc)
 
     def wait(self, patience_s: float | None) -> None:
-        """Wait so long from now on; None: as long as it takes."""
+        """Be patient for so long from now on; None: for as long as it takes."""
         if self._timer is not None:
             self._timer.cancel()
         transport = self.transport

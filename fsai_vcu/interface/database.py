@@ -49,8 +49,7 @@ class DatabaseError(UserError, ValueError):
 
 
 def load_database(paths: Iterable[Path | str]) -> Database:
-    """Load DBC files into one database, the messages of this interface strictly: no overlapping signals, none beyond
-    its frame.
+    """Load DBC files into one database, this interface's messages strictly: no signals that overlap or leave the frame.
 
     Where two files describe the same identifier, the first one counts. Raises DatabaseError.
     """
@@ -101,7 +100,7 @@ def _load_one(path: Path) -> Database:
 
 
 def check_whole(path: Path, text: str, *, by_nodes: bool = False) -> None:
-    """Raises DatabaseError for a DBC file that was cut off in its last statement.
+    """Raise DatabaseError for a DBC file that was cut off in its last statement.
 
     by_nodes: one without a line end is whole if it ends in the whole name of a node.
     """
@@ -126,7 +125,7 @@ def _is_whole(statement: str, nodes: set[str]) -> bool:
 
 
 def check_lengths(path: Path, text: str) -> None:
-    """Raises DatabaseError for a DBC file of messages or signals so long that the parser would make room for them."""
+    """Raise DatabaseError for a DBC file of messages or signals so long that the parser would make room for them."""
     for found in _MESSAGE_LENGTH.finditer(text):
         if _too_large(found[1], _LONGEST_BYTES):
             raise DatabaseError(f"{path}: not a valid DBC file: a message of more than {_LONGEST_BYTES} bytes")
@@ -136,7 +135,7 @@ def check_lengths(path: Path, text: str) -> None:
 
 
 def check_bounds(path: Path, database: Database) -> None:
-    """Raises DatabaseError for a database, of any kind, whose messages, names or numbers are larger than any real one.
+    """Raise DatabaseError for a database, of any kind, whose messages, names or numbers are larger than any real one.
 
     Every frame of a log is taken apart by them: what is large here is large as many times as there are frames.
     """

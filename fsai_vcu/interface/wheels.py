@@ -10,8 +10,7 @@ WHEELS = ("fl", "fr", "rl", "rr")
 
 
 class WheelMapping(Value, frozen=True):
-    """Mapping of each wheel to the position whose signals in 0x525 and 0x526 carry it; the default is the documented
-    wiring.
+    """Mapping of each wheel to the position whose signals in 0x525 and 0x526 carry it; the default: as documented.
 
     `WheelMapping(fl="fr", fr="fl")` says: the front left wheel is found in FR_WHEEL_SPEED and FR_PULSE_COUNT.
     """

@@ -23,7 +23,7 @@ _TOO_MUCH: Final = "it takes more memory or time than a file of its size does"
 
 
 class BoundedError(Exception):
-    """Why the work could not be done, as the end of a sentence."""
+    """Reason why the work could not be done, as the end of a sentence."""
 
 
 @dataclass(frozen=True, slots=True)

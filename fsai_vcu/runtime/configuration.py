@@ -82,7 +82,7 @@ class Key(Value, frozen=True):
         return self.name.removeprefix("trackdrive_").removesuffix("_mps")
 
     def problem(self, value: object) -> str | None:
-        """Why `value` cannot stand there, as the end of a sentence about it."""
+        """Say why `value` cannot stand there, as the end of a sentence about it."""
         if isinstance(self.default, WheelMapping):
             return _mapping_problem(value)
         if isinstance(self.default, tuple):

@@ -55,7 +55,7 @@ def set_transport(environ: MutableMapping[str, str]) -> str:
 
 
 def ros_trouble(environ: Mapping[str, str]) -> str:
-    """Why ROS 2 would not start in this environment, or on another domain than was meant, in one line; or ''."""
+    """Say in one line why ROS 2 would not start in this environment, or on another domain than was meant; or ''."""
     domain, implementation = environ.get(_DOMAIN, ""), environ.get(_IMPLEMENTATION, "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain[:9]) <= DOMAIN_MAX):
         return f"{_DOMAIN} is '{domain}', not a number from 0 to {DOMAIN_MAX}"

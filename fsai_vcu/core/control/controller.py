@@ -105,7 +105,7 @@ class Controller:
         return min(settings.max_speed_mps, self._car.speed_max_mps, own.get(mission, math.inf))
 
     def too_slow(self, mission: Ami) -> str | None:
-        """Why a mission that needs a certain speed will not be fulfilled, in one line; None where it can be."""
+        """Say in one line why a mission that needs a certain speed will not be fulfilled; None where it can be."""
         missions = self._missions
         needed = {
             Ami.AUTONOMOUS_DEMO: missions.demo_speed_mps,

@@ -78,7 +78,10 @@ def _searched(lane: StraightLane, pose: Floats, xy_m: Floats) -> tuple[float, Fl
 
 
 def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
-    """Return where along the lane (m) the finish is: amid big orange cones (lane frame) that stand on both sides."""
+    """Return where along the lane (m) the finish is: amid big orange cones (lane frame) that stand on both sides.
+
+    Without such cones it stays at `finish_m`.
+    """
     of_finish = np.abs(big_orange_m - (finish_m, 0.0)) < (FINISH_GATE_M, GATE_WIDEST_M)
     gate = big_orange_m[of_finish.all(axis=1)]
     both_sides = (gate[:, 1] > 0.0).any() and (gate[:, 1] < 0.0).any()

@@ -261,8 +261,7 @@ def by_chain(side: Floats, rows: Rows) -> Floats:
 
 
 def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:
-    """Return the sides of cones, where those without a colour carry on the border whose last two cones they are in line
-    with.
+    """Return the sides of cones; those without a colour carry on the border whose last two cones they are in line with.
 
     Those beside the lane already do not. Nor do they where the other border ends nearby as well and nothing is in line
     with it: in a sharp bend the outer border stands straight on from the inner one's end.

@@ -260,8 +260,9 @@ def _fan(settings: PlannerSettings) -> _Fan:
 def _search(
     xy: Floats, side: Floats, begin: _Begin, counted: Bools, known: Known, settings: PlannerSettings
 ) -> tuple[Floats, float]:
-    """The best chain of arcs from where it begins, as (M, 2) points every quarter of a step; and by how much the best
-    chain that leads elsewhere costs more.
+    """Return the best chain of arcs from `begin` on, and by how much the best chain that leads elsewhere costs more.
+
+    The chain is (M, 2) points every quarter of a step.
 
     The arrays are small (a dozen cones, 28 poses, 11 arcs each), so the number of numpy's calls and of its inner loops
     counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
@@ -370,7 +371,7 @@ def _search(
 
 
 def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
-    """Return how much more than the best chain the best of those costs that are elsewhere after so many arcs.
+    """Return how much more than the best chain the best chain costs that is elsewhere after so many arcs.
 
     poses: at the chains' ends, the best first.
     """
@@ -408,10 +409,10 @@ def _first_of_each(cells: list[int], places: list[int], most: int) -> Ints:
 
 
 def _to_middle(seen: Floats, bend: Floats, nearest: Floats) -> Floats:
-    """(P,) how far to the left of each pose, which turns with `bend`, the middle between its nearest cones left and
-    right is; 0 where there are not both.
+    """Return (P,) how far to the left of each pose the middle between its nearest cones left and right is; 0 without both.
 
-    seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) how near each may be, to the left, to the right.
+    Each pose turns with `bend`. seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) how near each may be,
+    to the left, to the right.
     """
     n_cones, n_poses = seen.shape[1:]
     place = (np.abs(seen[0]) < 3.0).ravel().nonzero()[0]
@@ -555,8 +556,10 @@ def _border(
     mine: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     settings: PlannerSettings,
 ) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
-    """A border's lateral position at each station, and where it is known: between cones not too far apart, and a
-    little beyond the first and last one."""
+    """Return a border's lateral position at each station, and where it is known.
+
+    It is known between cones not too far apart, and a little beyond the first and last one.
+    """
     places = mine.nonzero()[0]
     if not len(places):
         return np.zeros(len(stations)), np.zeros(len(stations), dtype=bool)

@@ -1,4 +1,4 @@
-"""Why the car does not drive, as far as the bus shows it: one table of the conditions from power-up to AS_DRIVING.
+"""Table of the conditions from power-up to AS_DRIVING: it says why the car does not drive, as far as the bus shows it.
 
 Bridge, monitor, pit wall and explain all ask it, each with what it knows of a moment; so they answer in the same words.
 What the bus does not show (the bridge's mode, whose confirmation it waits for) is `readiness.py`.
@@ -323,8 +323,11 @@ def unmet(moment: Moment, state: AsState) -> tuple[tuple[Condition, str, str, bo
 
 
 def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The fields that show a condition of that state as met, each with its value in words; and the signals of
-    conditions of which nothing is seen. Hints, and what only earlier frames show, are neither."""
+    """Return the fields that show a condition of that state as met, each with its value in words.
+
+    It returns also the signals of conditions of which nothing is seen. Hints, and what only earlier frames show, are
+    neither.
+    """
     shown: dict[str, str] = {}
     unseen: dict[str, None] = {}
     for condition in CONDITIONS:

@@ -439,7 +439,7 @@ def _state_name(state: SupervisorState) -> str:
 
 
 def _unknown_state(config: BridgeConfig, state: SupervisorState, now_ns: int) -> str | None:
-    """Why nobody can know the AS state now; None if it is known."""
+    """Say why nobody can know the AS state now; None if it is known."""
     if state.status_ns is None:
         return "the car has not reported its AS state yet (no 0x520)"
     if vcu_lost(config, state, now_ns):

@@ -413,7 +413,7 @@ def _synchronised() -> bool | None:
 
 
 def _folder_problem(folder: Path) -> str:
-    """Why the recorder, which runs as the user fsai, cannot write there."""
+    """Say why the recorder, which runs as the user fsai, cannot write there."""
     status = folder.stat()
     try:
         owner = grp.getgrgid(status.st_gid).gr_name

@@ -1,4 +1,4 @@
-"""Why a car brakes or does not start: from the cause to its words, and to what to record where the bus tells no more.
+"""Causes of brakes and of starts that fail: from each to its words, and to what to record where the bus tells no more.
 
 Causes that the AI side knows as well have its words: what the supervisor found (core/supervision/reasons.py), and what
 a start waits for (start_conditions.py). A cause is found by the rules of `endings.py` and `starting.py`; what to do

@@ -165,7 +165,7 @@ def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Can
 
 
 def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
-    """Why the AI computer asked for the emergency brake."""
+    """Return why the AI computer asked for the emergency brake."""
     first = record.series(sig.ESTOP).last(t_ns + 20 * MS)
     if first is None or first.end_ns < t_ns - BEHIND_NS:
         words = "the car names the AI computer's request, but no 0x510 in this log has ESTOP_REQUEST 1"
@@ -200,7 +200,7 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
 
 
 def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
-    """Why the link was lost."""
+    """Return why the link was lost."""
     gaps = record.gaps(sig.STATUS, HUNG_NS)
     place = bisect_left(gaps, t_ns - HUNG_NS, key=lambda gap: gap.over_ns)
     silence = gaps[place] if place < len(gaps) and (gaps[place].end_ns or NEVER_NS) <= t_ns + HUNG_NS else None
@@ -561,7 +561,7 @@ def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
 
 
 def _held_before(record: Record, t_ns: int) -> int | None:
-    """Since when torque was 0 and steering and brake stood still, if for about the 200 ms of stale commands."""
+    """Return since when torque was 0 and steering and brake stood still, if for about the 200 ms of stale commands."""
     signals, until_ns = (sig.TORQUE_F, sig.TORQUE_R, sig.STEER), t_ns - SLACK_NS
     for signal in signals:
         values = record.series(signal).between(t_ns - HELD_NS, until_ns).values

@@ -1,4 +1,4 @@
-"""Why the car does not start, in a log or at one moment.
+"""Causes for which the car does not start, in a log or at one moment.
 
 The conditions are those of `start_conditions.py`; here is what a log shows of each, and what was missing where the car
 was to start and did not.

@@ -39,7 +39,7 @@ class Written:
 
 
 def check_format(form: str) -> None:
-    """Raises UserError with the line that installs what is missing."""
+    """Raise UserError with the line that installs what is missing."""
     package = NEEDS.get(form)
     if package is None:
         return

@@ -67,7 +67,7 @@ class BlfFile:
     """Reads one file, once."""
 
     def __init__(self, stream: IO[bytes], told: Problems, name: str) -> None:
-        """Raises ReadingEnds."""
+        """Read the head. Raises ReadingEnds."""
         self._stream = stream
         self._told = told
         self._name = name

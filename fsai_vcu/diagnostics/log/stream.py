@@ -16,14 +16,14 @@ from typing import IO, Any, Final, Protocol
 from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES
 
 HEAD_BYTES: Final = 4096
-"""As many of the first bytes tell a format."""
+"""Number of first bytes that tell a format."""
 _BLOCK_BYTES: Final = 1 << 18
 _PACKED_BLOCK_BYTES: Final = 1 << 14
 _LZMA_BYTES: Final = 128 * MIB  # `xz -9` takes 65
 
 
 class _Unpacker(Protocol):
-    """As the decompressors of bz2 and lzma are."""
+    """Unpacker with the methods of the decompressors of bz2 and lzma."""
 
     @property
     def eof(self) -> bool: ...

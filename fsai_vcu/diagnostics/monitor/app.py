@@ -231,7 +231,9 @@ class MonitorApp(App[None]):
     # ------------------------------------------------------------ keys
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """While something is typed keys are letters; a bus cannot be moved in."""
+        """Return whether an action is possible: keys are letters while something is typed, and a bus cannot be moved
+        in.
+        """
         if self._input.display:
             return action not in ("end", "page", "pause", "next_page", "ask", "step", "change")
         return self._replayed is not None or not (action in ("step", "change") or parameters == ("second",))

@@ -26,7 +26,7 @@ class Server(serving.Server):
     """
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises OSError."""
+        """Listen on host and port. Raises OSError."""
         super().__init__(host, port)
         self.html = part("page.html")
         self._news = asyncio.Event()

@@ -65,7 +65,7 @@ class DurableFile:
         return self._safe + len(self._waiting)
 
     def flush(self) -> None:
-        """Only what `push` has written is kept through a loss of power."""
+        """Do nothing: only what `push` has written is kept through a loss of power."""
 
 
 def sync_folder(folder: Path) -> None:

@@ -78,7 +78,7 @@ class Heard:
     youngest_s: float = math.inf
 
     def receive(self, now_s: float, age_s: float | None) -> None:
-        """A message at `now_s`; the age of its stamp, None where the stamp is empty."""
+        """Take in a message that came at `now_s`, with the age (s) of its stamp; None where the stamp is empty."""
         if self.count:
             self.gap_s = max(self.gap_s, now_s - self.last_s)
         else:

@@ -418,7 +418,7 @@ def _not_judged(whole: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
 
 
 def _unknown(record: Record) -> Iterator[str]:
-    """Why this log cannot be called well even if nothing in it is wrong."""
+    """Say why this log cannot be called well even if nothing in it is wrong."""
     if STATUS in record.unknown_ids:
         yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
     elif STATUS in record.wrong_length and not record.has(STATUS):

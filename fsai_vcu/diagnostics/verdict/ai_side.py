@@ -113,7 +113,7 @@ def _never_running(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
 
 
 def _torque_with_brake(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
-    """As the VCU receives them one after another, frame by frame."""
+    """Yield torque asked for beside the brake, as the VCU receives the two one after another, frame by frame."""
     torques, brakes = ([*map(record.series, pair)] for pair in (_TORQUES, _BRAKES))
     times = np.unique(np.concatenate([series.t_ns for series in (*torques, *brakes)]))
     if not len(times):

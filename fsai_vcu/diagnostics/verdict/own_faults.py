@@ -273,7 +273,7 @@ def _twice(frames: Frames) -> Twice | None:
 
 
 def impossible(buses: Sequence[BusStatistics]) -> str:
-    """Why the times of a log cannot be true, as a sentence; '' where they can."""
+    """Say in a sentence why the times of a log cannot be true; '' where they can."""
     for bus in buses:
         if bus.load > _IMPOSSIBLE_LOAD and bus.frames >= _ENOUGH_OF_LOAD:
             return (

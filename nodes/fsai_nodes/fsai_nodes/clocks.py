@@ -185,7 +185,7 @@ class Input:
         return f"{self.who()} comes with data {self._age_ns / 1e6:.0f} ms old{self._note}"
 
     def late(self, now_ns: int) -> str:
-        """Why fresh data are missing, in words; empty if they are not."""
+        """Say in words why fresh data are missing; empty if they are not."""
         return self.silence(now_ns) or self.old_data()
 
     def watch(self, now_ns: int) -> str:

@@ -242,7 +242,7 @@ def _sentence(what: str, sender: str, why: str) -> str:
 
 
 def refusal_of_request(node: Node, service: Service, request: Any) -> str:
-    """Why a service's request is refused; empty where it fits. Said in the log, too."""
+    """Say why a service's request is refused; empty where it fits. Said in the log, too."""
     parts: Parts | None = DECLARED.get(key_of(type(request)))
     why = parts.misfit(request, "") if parts is not None else ""
     if why:

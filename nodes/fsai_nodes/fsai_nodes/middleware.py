@@ -141,7 +141,7 @@ class Taker:
     """Takes one subscription's messages as bytes, each with the GID of its publisher."""
 
     def __init__(self) -> None:
-        """Raises OSError or AttributeError where the C libraries are not as expected."""
+        """Look for the C libraries. Raises OSError or AttributeError where they are not as expected."""
         self._rcl = ctypes.CDLL("librcl.so")
         rcutils = ctypes.CDLL("librcutils.so")
         rmw = ctypes.CDLL(f"lib{rclpy.get_rmw_implementation_identifier()}.so")

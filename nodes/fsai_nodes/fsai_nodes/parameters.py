@@ -72,7 +72,7 @@ class NodeParameter:
         return descriptor
 
     def problem(self, value: object) -> str | None:
-        """Why `value` cannot be this parameter; None when it can."""
+        """Say why `value` cannot be this parameter; None when it can."""
         wanted = type(self.default)
         whole = isinstance(self.default, (float, str)) and isinstance(value, int) and not isinstance(value, bool)
         if type(value) is not wanted and not whole:
@@ -287,7 +287,7 @@ class Settings:
         return SetParametersResult(successful=True)
 
     def _why_not(self, parameter: Parameter) -> str | None:
-        """Why it cannot be set; None where it can."""
+        """Say why it cannot be set; None where it can."""
         if parameter.name == CLOCK and parameter.value != self._node.get_parameter(CLOCK).value:
             return f"{CLOCK} cannot change while the node runs: restart it with the new value"
         setting = self._table.get(parameter.name)

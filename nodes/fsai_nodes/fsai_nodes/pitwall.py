@@ -35,7 +35,7 @@ class PitWall(Listener):
     """`look` gives what the page shows more of, where the nodes run."""
 
     def __init__(self, namespace: str = "/") -> None:
-        """Raises ValueError where that is no namespace."""
+        """Subscribe in `namespace`. Raises ValueError where that is no namespace."""
         super().__init__("pitwall", namespace)
         self._lock = threading.Lock()
         self._clocks = Clocks(self._node)

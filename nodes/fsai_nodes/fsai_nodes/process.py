@@ -85,7 +85,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
 
 
 def log_trouble(environ: Mapping[str, str]) -> str:
-    """Why ROS cannot keep log files, in one line, or ''. It would not start at all for that."""
+    """Say in one line why ROS cannot keep log files, or ''. It would not start at all for that."""
     # The rule of rcl_logging.
     home = environ.get("ROS_HOME") or Path(environ.get("HOME", "/")) / ".ros"
     folder = Path(environ.get("ROS_LOG_DIR") or Path(home) / "log").expanduser()

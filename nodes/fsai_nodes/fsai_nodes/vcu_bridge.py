@@ -138,7 +138,7 @@ def _reported(transition: _Transition) -> _Transition:
 
 
 class VcuBridge(LifecycleNode):
-    """Raises NodeError from its constructor when it starts by itself and cannot."""
+    """Node between ROS and the CAN loop. Its constructor raises NodeError when it starts by itself and cannot."""
 
     tells_systemd = True  # the CAN loop does: its watchdog is fed by cycles that met their deadline, by nothing else
 
