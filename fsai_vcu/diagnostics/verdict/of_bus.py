@@ -358,7 +358,7 @@ class _Judge:
 
 
 def _covers(named: int | None, can_id: int) -> bool:
-    """Return true where a message is silent with one named by a cause: a VCU's with its status, an AI computer's five."""
+    """Return true where a message is silent with one that a cause names: a VCU's with its status, all five of an AI."""
     if named == STATUS:
         return can_id not in AI_IDS
     return can_id in AI_IDS if named == AI_IDS[0] else can_id == named
