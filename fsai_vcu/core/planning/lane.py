@@ -409,7 +409,7 @@ def _first_of_each(cells: list[int], places: list[int], most: int) -> Ints:
 
 
 def _to_middle(seen: Floats, bend: Floats, nearest: Floats) -> Floats:
-    """Return (P,) how far to the left of each pose the middle between its nearest cones is; 0 without a left and a right.
+    """Return (P,) how far to the left of each pose the middle between its nearest cones is; 0 without both.
 
     Each pose turns with `bend`. seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) how near each may be,
     to the left, to the right.
