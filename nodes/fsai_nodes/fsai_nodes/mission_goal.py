@@ -52,7 +52,7 @@ class Waiting:
     """One goal being waited for. Fed with what the car says; returns an outcome once."""
 
     def __init__(self, mission: str, until: str, timeout_s: float, now_ns: int) -> None:
-        """Begin to wait, as declared for RunMission: a mission or none, one of GOALS or none, a time (0 s: no limit)."""
+        """Wait as declared for RunMission: a mission or none, one of GOALS or none, a time (0 s: no limit)."""
         self.until = until or DEFAULT_GOAL
         self._mission = MISSIONS.get(mission.lower())
         self._timeout_s = timeout_s
