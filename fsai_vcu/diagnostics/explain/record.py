@@ -141,7 +141,9 @@ class Series:
         return self.spans[place] if place >= 0 else None
 
     def since(self, times: Ints) -> Ints:
-        """Return when (ns) the value in force at each of `times` began; 0 where there is no such signal."""
+        """Return when (ns) the value in force at each of `times` began, or the first value after it; 0 without the
+        signal.
+        """
         begin_ns = self.spans.begin_ns
         places = np.maximum(np.searchsorted(begin_ns, times, side="right") - 1, 0)
         return begin_ns[places] if len(self) else np.zeros_like(times)
