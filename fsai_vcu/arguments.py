@@ -37,7 +37,7 @@ def add_bus_argument(parser: argparse.ArgumentParser, words: str = BUS_HELP, def
 
 
 def check_numbers(args: argparse.Namespace, **least: float) -> None:
-    """Raises WrongUse for an option that was given and is not finite, or less than its `least`."""
+    """Raise WrongUse for an option that was given and is not finite, or less than its `least`."""
     for name, bound in least.items():
         value = getattr(args, name)
         if value is not None and not bound <= value < math.inf:

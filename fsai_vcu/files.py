@@ -85,7 +85,7 @@ def move_aside(path: Path | str) -> None:
 
 
 def bytes_on_disk(status: os.stat_result) -> int:
-    """How much there is of a file: one with holes has less than its size."""
+    """Return how many bytes of a file are on the disk: a file with holes has less than its size."""
     return min(status.st_size, status.st_blocks * 512)  # the unit of st_blocks, whatever the file system's is
 
 

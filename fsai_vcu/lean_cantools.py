@@ -14,4 +14,4 @@ if "cantools" not in sys.modules:
         import cantools
     finally:
         del sys.modules["cantools.tester"]
-    del cantools.tester  # whoever wants it imports the real one
+    del cantools.tester  # a program that wants it imports the real one

@@ -8,9 +8,9 @@ from typing import Any, Final, TextIO
 LINE: Final = 500
 """Most characters of a line that repeats what another program says; the project's nodes say less."""
 _FORMULA: Final = tuple("=+-@\t\r＝＋－＠")
-"""What a spreadsheet takes for the beginning of a formula."""
+"""Characters that a spreadsheet takes for the beginning of a formula."""
 _OWN: Final = r"\x1b\[[0-9;]{0,20}m|\r?\x1b\[K"
-"""What the command line itself writes to a terminal: colours, and a line that is rewritten."""
+"""Sequences that the command line itself writes to a terminal: colours, and a line that is rewritten."""
 _PLAIN: Final = re.compile(r"[\n\t\x20-\x7e]*")
 _SPLIT: Final = re.compile(r"(\n|\t)")
 _SPLIT_WITH_OWN: Final = re.compile(rf"({_OWN}|\n|\t)")

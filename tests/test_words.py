@@ -5,12 +5,16 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 CHECKOUT = Path(__file__).parents[1]
 LISTED = "CONTRIBUTING.md"
+DESCRIBED = ("fsai_vcu", "nodes")  # folders whose docstrings name the thing, or say what it does
+FRAGMENT = re.compile(r"\s*(Of|What|Where|Whether|Who|How|Those|That|Which|When|If)\b")
+LONG = 15  # lines: a caller should not have to read a function of that length
 REFUSED = re.compile(r"\b(anew|for good|of ours|surely|the way driven|one beside the bus)\b", re.IGNORECASE)
 
 
@@ -19,6 +23,18 @@ def messages(path: Path) -> Iterator[tuple[int, str]]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.lineno, node.value
+
+
+@cache
+def nodes_of(folders: tuple[str, ...]) -> list[tuple[str, ast.AST]]:
+    """The expressions, classes and functions of the modules in these folders, each with its module's place."""
+    return [
+        (str(path.relative_to(CHECKOUT)), node)
+        for folder in folders
+        for path in sorted((CHECKOUT / folder).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, (ast.Expr, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
+    ]
 
 
 @pytest.mark.parametrize("folder", ["fsai_vcu", "hil/fsai_hil", "nodes/fsai_nodes/fsai_nodes"])
@@ -61,3 +77,32 @@ def test_each_refused_word_is_listed_with_what_to_write() -> None:
     rows = [line.split("|")[2] for line in (CHECKOUT / LISTED).read_text().splitlines() if line.startswith("| ")]
     words = REFUSED.pattern.partition("(")[2].partition(")")[0].split("|")
     assert [word for word in words if not any(word in row for row in rows)] == []
+
+
+def test_a_docstring_names_its_thing_or_says_what_it_does() -> None:
+    found = [
+        f"{place}:{node.lineno}: {begin[0].strip()}"
+        for place, node in nodes_of(DESCRIBED)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        if (begin := FRAGMENT.match(node.value.value))
+    ]
+    assert not found
+
+
+def test_a_long_public_function_has_a_docstring() -> None:
+    found = [
+        f"{place}:{node.lineno}: {node.name}"
+        for place, node in nodes_of(DESCRIBED)
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and not node.name.startswith("_")
+        if (node.end_lineno or node.lineno) - node.lineno + 1 >= LONG and not ast.get_docstring(node)
+    ]
+    assert not found
+
+
+def test_a_public_class_has_a_docstring() -> None:
+    found = [
+        f"{place}:{node.lineno}: {node.name}"
+        for place, node in nodes_of(DESCRIBED)
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and not ast.get_docstring(node)
+    ]
+    assert not found

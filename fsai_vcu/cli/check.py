@@ -86,6 +86,7 @@ _HEAD = ("id", "message", "frames", "period", "p50", "jitter p50", "p99", "max",
 
 
 def _for_people(bus: BusStatistics, *, figures: bool) -> str:
+    """Return the figures of a bus as text for people; `figures`: with a table of its messages."""
     lines = [
         f"{bus.channel}: {bus.frames} frames in {bus.duration_s:.3f} s,"
         f" load {bus.load:.1%} of {bus.bitrate // 1000} kbit/s ({bus.peak_load:.1%} in the busiest 100 ms)"
@@ -110,6 +111,7 @@ def _for_people(bus: BusStatistics, *, figures: bool) -> str:
 
 
 def _row(message: MessageStatistics) -> tuple[str, ...]:
+    """Return the cells of a message's row in the table of figures."""
     return (
         f"{message.can_id:08X}" if message.extended else f"{message.can_id:03X}",
         message.name or "?",

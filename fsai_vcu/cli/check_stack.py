@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def ends_of(node: Any, topic: str) -> Ends:
-    """Who publishes and reads it, this node aside."""
+    """Find the publishers and readers of a topic, this node aside."""
     from rclpy.qos import QoSCompatibility, qos_check_compatible
 
     name = node.resolve_topic_name(topic)
@@ -90,7 +90,7 @@ def listen(node: Any, stack: StackWatch) -> None:
 
 
 def by_clock(node: Any, names: Collection[str]) -> dict[str, bool]:
-    """Whether these nodes go by /clock, as their parameter use_sim_time says; without those that do not answer."""
+    """Tell of each node whether it goes by /clock (parameter use_sim_time); a node that does not answer is left out."""
     import rclpy
     from rcl_interfaces.srv import GetParameters
 

@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Read both logs, judge them and print what differs."""
     decoding = Decoding("compare", args)
     patterns = decoding.patterns(args.signals)
     found, status = [], 0

@@ -92,14 +92,17 @@ def whole_parser() -> argparse.ArgumentParser:
 
 
 def metavar_of(action: argparse.Action) -> str:
-    """How the help calls an argument's value."""
+    """Return the name that the help gives to an argument's value."""
     if action.metavar is None:
         return action.dest.upper().replace("_", "-")
     return action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar)
 
 
 def words_of(action: argparse.Action) -> tuple[str, ...] | None:
-    """What an argument takes: its choices, or what its name says where the parser leaves that to the code behind it."""
+    """Return the words that an argument takes: its choices, or those that its name stands for; None: any word.
+
+    A name stands for words where the parser leaves the choice to the code behind it.
+    """
     if action.choices is not None:
         return tuple(map(str, action.choices))
     words: dict[str, Callable[[], Iterable[str]]] = {
@@ -112,7 +115,7 @@ def words_of(action: argparse.Action) -> tuple[str, ...] | None:
 
 
 def _completer(action: argparse.Action, metavar: str) -> dict[str, Any] | None:
-    """What shtab takes for a file, a folder, a CAN interface or either; None: a number, or a free name."""
+    """Return what shtab takes for a file, a folder, a CAN interface or either; None: a number, or a free name."""
     parts = {part.partition(".")[0] for part in re.split(r"[|=]", re.split(r"[\[,]", metavar)[0])}
     files = not parts.isdisjoint({"FILE", "LOG", "RECORD", "PATH"}) or action.type is Path
     if "SOURCE" in parts or (files and "INTERFACE" in parts):

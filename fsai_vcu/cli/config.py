@@ -1,4 +1,4 @@
-"""`fsai-vcu config`: is /etc/fsai/fsai.toml right, and what does it come to?"""
+"""`fsai-vcu config`: whether /etc/fsai/fsai.toml is right, and which settings follow from it."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Read the configuration, print its settings or its problems, and return the exit status."""
     path = args.file or USUAL_PATH
     try:
         configuration = read_configuration(path)

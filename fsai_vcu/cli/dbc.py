@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Print the messages of a database, or the differences between two, and return the exit status."""
     if args.what == "diff":
         if len(args.names) != 2:
             raise WrongUse("diff takes two databases: fsai-vcu dbc diff 2021 2026")
@@ -75,6 +76,7 @@ def _signal(signal: SignalLayout) -> str:
 
 
 def _differences(ours: Mapping[int, MessageLayout], theirs: Mapping[int, MessageLayout]) -> Iterator[str]:
+    """Yield a line for each message or signal that only one of the databases has, or has otherwise."""
     for key in sorted({*ours, *theirs}):
         mine, other = ours.get(key), theirs.get(key)
         if mine is None or other is None:

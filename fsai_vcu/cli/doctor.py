@@ -97,6 +97,7 @@ def _show(findings: Sequence[Finding], *, as_json: bool) -> int:
 
 
 def _wanted(configuration: Configuration, interface: str | None) -> Wanted:
+    """Return the settings that the doctor holds the machine against."""
     return Wanted(
         path=str(configuration.path),
         interface=interface or configuration.interface,

@@ -37,6 +37,7 @@ _NO_COLOR: Final = b"\x1b[0m"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of dump and decode, which are one verb with two names."""
     parser.set_defaults(verb=parser.prog.split()[-1])  # of the two names
     add = parser.add_argument
     add(
@@ -84,6 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then print the frames of the sources until they end."""
     if args.count is not None and args.count < 1:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
@@ -174,6 +176,7 @@ class _Lines:
         return ~sum(1 << signal.start for signal in layout.signals if signal.name == "HANDSHAKE")
 
     def block(self, frames: Frames) -> bytes | bytearray:
+        """Return all lines of `frames` as bytes, in the style that the arguments ask for."""
         if not len(frames):
             return b""
         if self._plain:
@@ -197,7 +200,7 @@ class _Lines:
         return b"".join(both)
 
     def _screen_lines(self, frames: Frames) -> list[bytes]:
-        """As candump shows them; padded to one width where signals stand beside."""
+        """Return the lines as candump shows them, padded to one width where signals stand beside."""
         lines = []
         width, digits = max(map(len, frames.channels)), _TIME_DIGITS.get(self._args.times)
         for frame in frames:
@@ -210,7 +213,7 @@ class _Lines:
         return [line.ljust(padded) for line in lines]
 
     def _shifted(self, frames: Frames) -> Frames:
-        """With the times that -t asks for; like candump's, none goes below zero."""
+        """Return the frames with the times that -t asks for; like candump's, none goes below zero."""
         import numpy as np
 
         style = self._args.times

@@ -18,7 +18,7 @@ from fsai_vcu.runtime.transport import DISTRIBUTIONS
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
 SERVICE_USER, OPERATORS = "fsai", "fsai-operators"
-# Whose keys these are; the others (sensors, observer) stay root's, who hands them to where they are needed.
+# Owners of these keys; the others (sensors, observer) stay root's, who hands them to where they are needed.
 OF_SERVICES = frozenset({"vcu_bridge", "cone_detector", "path_planner", "vehicle_controller"})
 OF_OPERATORS = frozenset({"operator", "listener", "visualization"})
 _INSTALLED_POLICY = Path("/usr/share/fsai/security/policy.xml")
@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Make the keys that the policy asks for, and give them to their users."""
     policy = args.policy or next((path for path in (_INSTALLED_POLICY, _CHECKOUT_POLICY) if path.is_file()), None)
     if policy is None or not policy.is_file():
         raise UserError(f"no policy {policy or _INSTALLED_POLICY}")
@@ -70,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _give(keystore: Path) -> str:
-    """Each key to who uses it, and nobody else; why that could not be done, or ''.
+    """Give each key to its users, and to nobody else; return why that could not be done, or ''.
 
     The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's.
     """

@@ -1,4 +1,4 @@
-"""How Ctrl-C and a script's SIGTERM end a verb that must not lose what it has: they ask, and do not interrupt."""
+"""End of a verb that must not lose what it has: Ctrl-C and a script's SIGTERM ask for it, and do not interrupt."""
 
 from __future__ import annotations
 

@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Judge the log, print the explanation and return the exit status."""
     check_seconds(args)
     decoding = Decoding("explain", args)  # before anything is read; the explanation names the revision, and why
     sources = Sources("explain", args.sources)

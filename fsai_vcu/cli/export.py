@@ -28,6 +28,7 @@ _FORMATS = ("csv", "parquet", "mcap", "mf4")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: logs, format, output, and the options of single formats."""
     add = parser.add_argument
     add(
         "logs",
@@ -64,6 +65,7 @@ def _take_old_names(args: argparse.Namespace) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then write the log's tables."""
     _take_old_names(args)
     if args.format is None:
         raise WrongUse(f"--format is missing: {', '.join(_FORMATS)}")

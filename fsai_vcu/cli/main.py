@@ -71,7 +71,7 @@ OLD_NAMES: dict[str, tuple[str, ...]] = {"stats": ("check", "--figures"), "recor
 
 @cache
 def all_verbs() -> Verbs:
-    """All verbs: those that other packages add by an entry point `fsai_vcu.verbs`, which is such a table, and ours."""
+    """All verbs: this package's, and those that others add by an entry point `fsai_vcu.verbs`, a table like it."""
     from importlib.metadata import entry_points
 
     added: Verbs = {}
@@ -148,7 +148,7 @@ def _named(arguments: Sequence[str]) -> str:
 
 @contextmanager
 def printable_output() -> Iterator[None]:
-    """Nothing that is printed does more to a terminal than to be seen, whoever gave the name in it."""
+    """Keep printed text from doing more to a terminal than to be seen, from wherever the names in it are."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (cast("TextIO", PrintableStream(stream)) for stream in streams)
     try:
@@ -161,6 +161,7 @@ _OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
+    """Find the verb in the arguments, parse the rest with its parser and run it; return the exit status."""
     if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
         _print_help("--all" in arguments)
         return 0 if arguments else 2

@@ -69,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then show a bus or a log in the way that they and the terminal allow."""
     check_numbers(args, every=0.02, seconds=0.0, rate=0.0)
     try:
         at = Part(args.at)
@@ -115,6 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
     @cache
     def verdict() -> Verdict:
+        """Judge the whole log, once."""
         log.read_all()
         try:
             databases = decoding.databases if args.dbc else None
@@ -145,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _noted(chunks: Iterator[Frames], read: list[Frames]) -> Iterator[Frames]:
-    """The same, each of them added to `read`."""
+    """Yield the same chunks, and add each of them to `read`."""
     for frames in chunks:
         read.append(frames)
         yield frames
@@ -154,7 +156,7 @@ def _noted(chunks: Iterator[Frames], read: list[Frames]) -> Iterator[Frames]:
 def _show(
     source: Source, every_s: float, patterns: list[str], args: argparse.Namespace, *, drawn: bool, still: bool = False
 ) -> int:
-    """Drawn, or printed once as it stands still, or in lines. The exit status of that."""
+    """Show the source drawn, or printed once as it stands still, or in lines, and return the exit status."""
     if drawn:
         return _draw(source, every_s, patterns)
     if still:
@@ -165,7 +167,7 @@ def _show(
 
 
 def _is_terminal() -> bool:
-    """Whether there is a terminal with keys that can be drawn on; textual draws on standard error."""
+    """Return true where there is a terminal with keys that can be drawn on; textual draws on standard error."""
     able = os.environ.get("TERM", "") not in ("", "dumb")
     return able and all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
 
@@ -194,7 +196,7 @@ def _draw(source: Source, every_s: float, patterns: list[str]) -> int:
 
 
 def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> None:
-    """Once, as lines that stay, at most so many."""
+    """Print the moment once, as lines that stay, at most so many."""
     from rich.console import Console
 
     from fsai_vcu.diagnostics.monitor.drawing import head, overview
@@ -208,6 +210,7 @@ def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> N
 
 
 def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
+    """Print a line for each picture until the source ends."""
     try:
         while True:
             source.advance(every_s)

@@ -63,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then serve a bus or a log as a web page."""
     os.nice(5)  # what drives the car goes first, and it takes a while to load what follows
     from fsai_vcu.diagnostics.monitor.sources import Live, Log
     from fsai_vcu.diagnostics.monitor.view import View
@@ -136,7 +137,7 @@ def _serve_log(server: Server, sources: Sources, decoding: Decoding, args: argpa
 
 @contextmanager
 def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
-    """What the nodes say now; nothing where that is not asked for."""
+    """Give a function that returns what the nodes say now; it returns nothing where the nodes are not asked for."""
     if not args.ros:
         yield lambda: ({}, {})
         return
@@ -150,7 +151,9 @@ def _nodes(args: argparse.Namespace) -> Iterator[Callable[[], Said]]:
 
 
 def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argparse.Namespace) -> None:
-    """Until a bus is over. The picture is made as often as somebody looks, the story of the run once a second."""
+    """Show the source until its bus is over. The picture is made as often as somebody looks, the story of the run once
+    a second.
+    """
     from fsai_vcu.diagnostics.monitor.sources import Log
     from fsai_vcu.diagnostics.page.board import events_of, state_of
     from fsai_vcu.diagnostics.page.trace import Trace

@@ -46,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Tell logs from signals among the arguments, read the logs and save the picture."""
     more = list(takewhile(lambda word: Path(name_and_filters(word)[0]).exists(), args.words))
     logs, signals = [args.source, *more], args.words[len(more) :]
     if not signals:
@@ -73,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]], title: str) -> None:
+    """Draw each group of signals into axes of its own, and save the picture to `path`."""
     try:
         import matplotlib
 

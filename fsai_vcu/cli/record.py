@@ -47,6 +47,7 @@ _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: bus, output, the bounds of a recording, and what is recorded besides frames."""
     add = parser.add_argument
     add_bus_argument(parser)
     add(
@@ -78,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments, then record the bus until the time is up or the end is asked for."""
     if args.service:
         return _as_configured(args.config or USUAL_PATH, args.interface)
     if args.config is not None:
@@ -118,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _as_configured(path: Path, interface: str | None) -> int:
-    """Record as the service does. interface: instead of the configuration's."""
+    """Record as the service does. interface: replaces the configuration's."""
     configuration = read_configuration(path)
     for line in configuration.limits_described():
         print(f"operational limits: {line}", file=sys.stderr, flush=True)
@@ -151,7 +153,9 @@ def _begun(
     decoder: Decoder | None,
     asked: list[int],
 ) -> tuple[SegmentFolder, Recording] | None:
-    """What writes; None where the end was asked for before anything could be written. Raises UserError."""
+    """Open the folder and its recording; None where the end was asked for before anything could be written. Raises
+    UserError.
+    """
     told = False
     while not asked:
         try:
@@ -180,7 +184,7 @@ def _begun(
 
 
 def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, asked: list[int]) -> None:
-    """Until the time is up or the end is asked for."""
+    """Record until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
     told = 0  # of the frames that were lost
     while not asked and time.monotonic_ns() < until_ns:
@@ -198,7 +202,7 @@ def _record(listener: Listener, topics: Any | None, recording: Recording, until_
 
 
 def _take(listener: Listener, topics: Any | None, recording: Recording) -> None:
-    """What was received since."""
+    """Hand everything that was received since the last call to the recording."""
     recording.take(listener.fetch())
     recording.dropped = listener.dropped
     if topics is not None:
@@ -262,7 +266,7 @@ def _time_ns(text: str, option: str) -> int:
 
 
 def _about(args: argparse.Namespace) -> dict[str, Any]:
-    """What belongs to a log without being a frame."""
+    """Return the facts that belong to a log without being a frame."""
     try:
         about: dict[str, Any] = {
             "made_by": f"fsai-vcu {version('fsai-vcu')}",

@@ -113,14 +113,14 @@ def _groups() -> list[tuple[str, list[tuple[str, str, argparse.ArgumentParser]]]
 
 
 def _synopsis(parser: argparse.ArgumentParser) -> str:
-    """How a verb is typed, in one line."""
+    """Return the line that shows how a verb is typed."""
     options, positionals = parser._get_optional_actions(), parser._get_positional_actions()
     required = [f"{option.option_strings[0]} {metavar_of(option)}" for option in options if option.required]
     return " ".join([parser.prog, *required, "[options]", *map(_typed, positionals)])
 
 
 def _typed(action: argparse.Action) -> str:
-    """How an argument is typed."""
+    """Return the text that shows how an argument is typed."""
     names = ", ".join(action.option_strings)
     if action.nargs == 0:
         return names

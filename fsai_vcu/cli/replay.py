@@ -32,6 +32,7 @@ _PAUSE_NS: Final = 60 * S
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: logs, the bus to send on, and how fast and how often."""
     add = parser.add_argument
     add(
         "logs",
@@ -58,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check the arguments and the bus, then send the log's frames in their rhythm."""
     check_numbers(args, loop=0, rate=0.01)
     if args.interface is None:
         args.interface = args.logs.pop()

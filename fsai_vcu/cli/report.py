@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Judge the log and write its page; return the exit status."""
     check_seconds(args)
     decoding = Decoding("report", args)
     decoding.patterns(args.signals)

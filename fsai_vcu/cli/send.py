@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Make the frame of the arguments, and show it or send it."""
     check_numbers(args, count=0, period=1.0, listen=_LEAST_LISTEN_S)
     databases = load_databases(args.dbc, args.revision)
     if args.bus is not None:
@@ -70,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace, frame: Outgoing) -> None:
+    """Print the frame: its signals, or an object with --json."""
     if args.json:
         shown = {
             "message": frame.message,
@@ -89,6 +91,7 @@ def _show(args: argparse.Namespace, frame: Outgoing) -> None:
 
 
 def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
+    """Listen first, then send the frame as often as asked; return the exit status."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
     with ExitStack() as stack:
         if outgoing.is_of_the_ai:  # no bridge begins while another program speaks for the AI computer

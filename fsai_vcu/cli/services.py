@@ -72,7 +72,9 @@ def ros_errors() -> Iterator[None]:
 
 
 def _take_environment() -> None:
-    """The car's, where this process has none of its own. Raises UserError where ROS would not start in it."""
+    """Take the car's environment, where this process has none of its own. Raises UserError where ROS would not start in
+    it.
+    """
     os.environ.update(usual_environment())
     if trouble := ros_trouble(os.environ):
         raise UserError(f"ROS 2 does not start: {trouble}")
@@ -80,7 +82,7 @@ def _take_environment() -> None:
 
 @contextmanager
 def _meanwhile(urgent: bool) -> Iterator[None]:
-    """With what stops the car meanwhile, where a request for that cannot be sent."""
+    """Add to an error what stops the car meanwhile, where the request for that cannot be sent."""
     try:
         yield
     except UserError as error:

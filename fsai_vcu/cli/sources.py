@@ -1,4 +1,4 @@
-"""What the diagnostic verbs have in common: logs or interfaces to read, databases, and how lines leave."""
+"""Common parts of the diagnostic verbs: logs or interfaces to read, databases, and the way out for lines."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _PROGRESS_S = 1.0
 
 
 def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
-    """Several logs, or folders of them, count as one log: the segments of a recording."""
+    """Add the argument for sources: several logs, or folders of them, count as one log (a recording's segments)."""
     parser.add_argument(
         name,
         nargs="+",
@@ -61,7 +61,7 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
 
 
 def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True, signals: bool = False) -> None:
-    """Which part of a log: times, messages, and `signals` for a verb that shows them."""
+    """Add the arguments that choose a part of a log: times, messages, and `signals` for a verb that shows them."""
     parser.add_argument(
         "--from",
         dest="begin",
@@ -83,7 +83,7 @@ def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True
 
 
 def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True) -> None:
-    """What every verb takes that looks at a whole log, or listens for a while."""
+    """Add the arguments of every verb that looks at a whole log, or listens for a while."""
     add_sources_argument(parser)
     add_seconds_argument(parser)
     add_part_arguments(parser, messages=messages)
@@ -144,7 +144,7 @@ def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
 
 
 def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
-    """`revision`: the one that counts where none is named; None: the frames tell."""
+    """Add --dbc and --revision. `revision`: the revision that counts where none is named; None: the frames tell."""
     parser.add_argument(
         "--dbc",
         action="append",
@@ -164,7 +164,7 @@ class Decoding:
     """
 
     def __init__(self, verb: str, args: argparse.Namespace) -> None:
-        """Raises UserError."""
+        """Read the arguments. Raises UserError."""
         self._verb = verb
         self._args = args
         self._files: Sequence[Path] = args.dbc
@@ -182,18 +182,18 @@ class Decoding:
 
     @cached_property
     def databases(self) -> Databases:
-        """By what is known so far: others once frames have told more."""
+        """Databases by what is known so far: others once frames have told more."""
         databases = load_databases(self._files, self.revision)
         return databases if self._shown is None else databases.with_signals(self._shown)
 
     @cached_property
     def decoder(self) -> Decoder:
-        """With the databases of now."""
+        """Decoder with the present databases."""
         return Decoder(self.databases)
 
     @cached_property
     def writer(self) -> LineWriter:
-        """Prints as --json and --numbers ask for, with the decoder of now."""
+        """Writer that prints as --json and --numbers ask for, with the present decoder."""
         args = self._args
         short = getattr(args, "short", False)
         rounded = self._verb == "dump" and not args.json  # decode's lines are cantools' to the last byte
@@ -217,14 +217,16 @@ class Decoding:
         return patterns
 
     def show_signals(self, names: str | None) -> None:
-        """From now on only these signals, by name or pattern, and the messages that have them. Raises UserError."""
+        """Show only these signals from now on, by name or pattern, and the messages that have them. May raise
+        UserError.
+        """
         if names is None:
             return
         self._shown = tuple(self.patterns(names))
         self._forget()
 
     def chosen(self, frames: Frames) -> Frames:
-        """Those of the messages that have the signals asked for."""
+        """Return the frames of those messages that have the signals asked for."""
         if self._shown is None or not len(frames):
             return frames
         import numpy as np
@@ -232,7 +234,7 @@ class Decoding:
         return frames.only(np.isin(frames.can_id, np.fromiter(self.databases.layouts, np.int64) & 0x1FFF_FFFF))
 
     def hear(self, frames: Frames) -> None:
-        """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
+        """Learn from frames which revision is spoken, and say so where another one is assumed."""
         found = None if self.told or not len(frames) else told_revision(frames)
         if found is None:
             return
@@ -246,7 +248,7 @@ class Decoding:
             print(f"fsai-vcu {self._verb}: interface revision {revision.name} ({reason})", file=sys.stderr)
 
     def _forget(self) -> None:
-        """What was made by what was known before."""
+        """Drop the databases, the decoder and the writer that were made by what was known before."""
         for name in ("databases", "decoder", "writer"):
             self.__dict__.pop(name, None)
 
@@ -261,7 +263,7 @@ class LogRead(NamedTuple):
     notes: str
 
     def line(self) -> str:
-        """For a person."""
+        """Line on the log, for a person."""
         read = f"{self.kind}, {self.frames} frames" if self.frames else "no frames in it"
         if self.problems and not self.frames:
             read = "nothing could be read"
@@ -288,10 +290,10 @@ class Sources:
         part: Part | None = None,
         each: Callable[[LogRead], None] | None = None,
     ) -> None:
-        """names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each:
-        gets what was read of each of several logs, and nothing of it is said on stderr.
+        """Open the sources. Raises UserError.
 
-        Raises UserError.
+        names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through. each: gets
+        what was read of each of several logs, and nothing of it is said on stderr.
         """
         self.verb = verb
         self.status = 0
@@ -361,7 +363,7 @@ class Sources:
 
     @property
     def recorded(self) -> Recorded:
-        """What the computers that recorded the logs, or this one that listens, did to what was received."""
+        """Traces that the computers which recorded the logs, or this listening one, left in them."""
         return self._recorded()
 
     @property
@@ -403,7 +405,7 @@ class Sources:
             part.ends_at(max(ends_ns))
 
     def check_output(self, path: Path) -> None:
-        """Raises WrongUse where a log would be written over with what is made of it."""
+        """Raise WrongUse where a log would be written over with what is made of it."""
         if path.is_file() and any(Path(name).is_file() and path.samefile(name) for name, _ in self._rules):
             raise WrongUse(f"{path} is the log that is read: it would be written over")
 
@@ -417,6 +419,7 @@ class Sources:
                     self._decoding.hear(frames)
 
     def _log_chunks(self) -> Iterator[Frames]:
+        """Yield the frames of the logs, one log after the other, that the filters let through."""
         inside = 0
         found = Recorded()
         for name, rule in self._rules:
@@ -464,15 +467,16 @@ class Sources:
         return shown.only(rule.passes(shown)) if rule else shown
 
     def _chosen(self, frames: Frames) -> Frames:
-        """Of the part, and with the signals, that are asked for."""
+        """Return the frames of the part, and with the signals, that are asked for."""
         shown = frames if self._part is None else self._part.of(frames)
         return shown if self._decoding is None else self._decoding.chosen(shown)
 
     def _live_chunks(self, seconds: float | None, announced: bool, waits: bool) -> Iterator[Frames]:
+        """Yield the frames of live buses that the filters let through, until the time is over or Ctrl-C."""
         from fsai_vcu.diagnostics.log.live import LiveSource
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-        # Where nothing is shown before the end, all of it is, whenever that is asked for.
+        # A verb that shows nothing before the end shows all of it then, whenever the end is asked for.
         how_it_ends: AbstractContextManager[list[int]] = ending() if announced else nullcontext([])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with how_it_ends as asked, closing(LiveSource([name for name, _ in self._rules], waits=waits)) as source:
@@ -502,13 +506,13 @@ def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def check_seconds(args: argparse.Namespace) -> None:
-    """Raises WrongUse."""
+    """Raise WrongUse where --seconds is not a time."""
     if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
 
 def add_server_arguments(parser: argparse.ArgumentParser, port: int) -> None:
-    """What a verb that shows one source on the network can be given."""
+    """Add the arguments of a verb that shows one source on the network."""
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=port, help=f"default: {port}; 0: any that is free")
     add_seconds_argument(parser)
@@ -516,14 +520,14 @@ def add_server_arguments(parser: argparse.ArgumentParser, port: int) -> None:
 
 
 def check_server(args: argparse.Namespace) -> None:
-    """Raises WrongUse."""
+    """Raise WrongUse where the port, or the time, cannot be."""
     if not 0 <= args.port < 65536:
         raise WrongUse(f"--port is {args.port}, but must be 0 to 65535")
     check_seconds(args)
 
 
 class Progress:
-    """How far it is, rewritten on a terminal every second."""
+    """Display of how far the work is, rewritten on a terminal every second."""
 
     def __init__(self) -> None:
         self._next_s = time.monotonic() + _PROGRESS_S if sys.stderr.isatty() else math.inf
@@ -547,7 +551,7 @@ class Progress:
 
 
 def _first_stamp(path: Path) -> tuple[int, str]:
-    """When a log begins; one that cannot be read comes last, and is reported when it is opened."""
+    """Return when a log begins (ns), and its name. A log that cannot be read comes last; its opening reports that."""
     try:
         with open_log(str(path)) as log:
             return next((frame.t_ns for frame in log.frames()), NOTHING_READ), path.name
@@ -562,7 +566,7 @@ def _goes_on(before_ns: int, first_ns: int) -> bool:
 
 
 def _last_stamp(name: str) -> int:
-    """When a log ends; 0 where nothing of it can be read, which is reported when it is opened again."""
+    """Return when a log ends (ns); 0 where nothing of it can be read, which is reported when it is opened again."""
     last_ns = 0
     try:
         with open_log(name) as log:
@@ -588,12 +592,12 @@ def _unfolded(name: str, left_out: list[Path]) -> list[str]:
 
 
 def _beside_logs(path: Path) -> bool:
-    """True for a file that a recording or a drive leaves beside its log, and nobody takes for one."""
+    """True for a file that a recording or a drive leaves beside its log, and that nobody takes for a log."""
     return path.name.startswith(".") or path.suffix.lower() in _BESIDE
 
 
 def _log_like(path: Path) -> bool:
-    """By its name; of tables and other texts those that are of a bus."""
+    """Tell by its name whether a file may be a log; tables and other texts are looked into."""
     suffixes = {suffix.lower() for suffix in path.suffixes}
     if suffixes & _MAY_BE_LOGS and not suffixes & LOG_SUFFIXES:
         try:
@@ -605,7 +609,7 @@ def _log_like(path: Path) -> bool:
 
 
 def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
-    """Raises UserError for what can be no name of a file: it is too long."""
+    """Return whether the condition holds for a file of that name; raise UserError for a name too long for one."""
     try:
         return condition(Path(name))
     except OSError as error:
@@ -613,7 +617,7 @@ def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
 
 
 def _is_log(name: str) -> bool:
-    """An interface is what is no file and does not look like one: can0, vcan0, loopback:NAME."""
+    """Tell a log from an interface, which is no file and does not look like one: can0, vcan0, loopback:NAME."""
     path = Path(name)
     if name == "-" or _holds(name, Path.exists):
         return True
@@ -621,7 +625,7 @@ def _is_log(name: str) -> bool:
 
 
 def write_out(block: bytes | bytearray) -> None:
-    """To standard output, at once. What it cannot take is reported by `main`."""
+    """Write the block to standard output, at once. What it cannot take is reported by `main`."""
     sys.stdout.flush()
     left = memoryview(block)
     while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only

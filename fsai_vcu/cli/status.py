@@ -44,6 +44,7 @@ def _as_dict(state: Any) -> dict[str, Any]:
 
 
 def _as_text(state: Any) -> str:
+    """Return the state of the car as lines for a person."""
     lines = [
         f"mode      {state.mode}" + ("   (listen only: nothing is sent)" if state.listen_only else ""),
         f"AS state  {state.as_state_label}",

@@ -1,4 +1,4 @@
-"""The array types of planning and control, for those who import numpy anyway: the CAN loop's process does not."""
+"""The array types of planning and control, for modules that import numpy anyway: the CAN loop's process does not."""
 
 from __future__ import annotations
 

@@ -82,6 +82,7 @@ class Bridge:
         first_run_id: int = 1,
         now_ns: int = 0,
     ) -> None:
+        """Begin at rest and idle, with `first_run_id` as the first run; `now_ns` is of the monotonic clock."""
         self._codec = codec
         self._car = car
         self._config = config or BridgeConfig()
@@ -91,7 +92,7 @@ class Bridge:
         self._unknown = shortened(codec.unknown, UNKNOWN_LENGTH)
 
         self._state = BridgeState(SupervisorState(run_id=first_run_id), standing_start(now_ns))
-        # What has come since the state was last looked at, by the fields of `vehicle` and `gps`: a cycle's thirty
+        # Images received since the state was last looked at, by the fields of `vehicle` and `gps`: a cycle's thirty
         # frames are taken in at once.
         self._vehicle_news: dict[str, Any] = {}
         self._gps_news: dict[str, Any] = {}
@@ -162,7 +163,7 @@ class Bridge:
         self._vehicle_news[VEHICLE_FIELD_OF[kind]] = image
 
     def _on_speeds(self, speeds: WheelSpeeds) -> bool:
-        """Whether a frame of 0x525 counts: one that is not believed is treated like one that never came."""
+        """Take in a frame of 0x525 and return whether it counts: one not believed is treated as if it never came."""
         state = self._state
         belief, doubt = wheel_speeds.on_speeds(self._config, state.belief, speeds)
         supervising = state.supervisor
@@ -189,6 +190,7 @@ class Bridge:
         )
 
     def _on_status(self, status: VcuStatus) -> None:
+        """Take in a believed 0x520: supervise it, note what it must not show, and begin the odometry of a new run."""
         state, tally, t_ns = self._state, self.tally, status.t_rx_ns
         before, odometry = state.supervisor, state.odometry
         now = supervisor.on_status(self._config, before, status)
@@ -220,7 +222,7 @@ class Bridge:
         self._strike(Reason.INTRUDER, detail, frame.t_ns)
 
     def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
-        """Take a command into the slot. One that is not in order is refused whole, as if it had never come.
+        """Take a command into the slot. A command that is not in order is refused whole, as if it had never come.
 
         Returns why; empty when it was taken.
         """
@@ -339,7 +341,7 @@ class Bridge:
     # ------------------------------------------------------------ the cycle
 
     def cycle(self, now_ns: int) -> AiCommand | None:
-        """What to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
+        """Return the command to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
         config, state = self._config, self.state
         vehicle, supervising = state.vehicle, state.supervisor
         odometry = self._moved(state)
@@ -386,7 +388,7 @@ class Bridge:
         return self._ask(state, now_ns)
 
     def _ask(self, state: BridgeState, now_ns: int) -> AiCommand:
-        """What the gate makes of this cycle's decision."""
+        """Pass this cycle's decision through the gate and return the command to send."""
         fresh = now_ns - state.command_ns < self._config.command_stale_ns
         gated, asked, reasons = gate(
             self._gate_config,
@@ -414,7 +416,7 @@ class Bridge:
         return asked
 
     def on_sent(self, complete: bool, now_ns: int) -> None:
-        """Whether all five frames of the last `cycle` went out."""
+        """Take in whether all five frames of the last `cycle` went out."""
         state = self._state
         supervising, since_ns = state.supervisor, state.last_complete_ns
         gated = sent(state.gate, complete, now_ns)
@@ -430,7 +432,7 @@ class Bridge:
             self._state = replace(self._state, last_complete_ns=now_ns)
 
     def _listening(self, now_ns: int) -> bool:
-        """On start a process listens, then sends."""
+        """Return true while a process that has just started listens before it sends."""
         since_ns = self._state.listening_since_ns
         return since_ns is None or now_ns - since_ns < self._config.listen_first_ns
 

@@ -15,7 +15,7 @@ from fsai_vcu.interface.values import Value
 
 
 class BridgeState(Value, frozen=True):
-    """What decides what is sent next. Times are of the monotonic clock, None: never.
+    """State that decides what is sent next. Times are of the monotonic clock, None: never.
 
     What the bridge only counts, for its report, is in `tally.Tally`.
     """
@@ -26,14 +26,14 @@ class BridgeState(Value, frozen=True):
     decision: Decision = field(default_factory=Decision)  # of the last cycle
     asked: AiCommand = field(default_factory=AiCommand)  # the command of the last cycle
 
-    # What was received
+    # Received from the bus
     vehicle: VehicleState = field(default_factory=VehicleState)
     gps: GpsImu = field(default_factory=GpsImu)
     status_doubt: str = ""  # why the newest 0x520 is none that is known
     speeds_doubt: str = ""  # why the newest 0x525 is not believed
     belief: WheelBelief = field(default_factory=WheelBelief)
 
-    # Whether the car does what it is asked
+    # Checks that the car does what it is asked
     steering: SteeringCheck = field(default_factory=SteeringCheck)
     wheels: WheelCheck = field(default_factory=WheelCheck)
 

@@ -1,4 +1,4 @@
-"""What is asked of the car: the command that a controller hands to the gate."""
+"""Command that a controller hands to the gate: what is asked of the car."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class VehicleCommand(Value, frozen=True, tag=True):
     note: Detail = ""  # in words what keeps the controller from driving: no path, an input that is late; else empty
 
     def problems(self, steer_limit_rad: float) -> tuple[str, ...]:
-        """Why this command must be refused whole; empty when it is in order."""
+        """Say why this command must be refused whole; empty when it is in order."""
         found = [
             f"{name} is {value}, not a finite number"
             for name, value in (

@@ -74,7 +74,7 @@ LOST = "lost: "
 
 
 class Plan(Value, frozen=True):
-    """Where to drive, from the planner to the controller.
+    """Path to drive, and what is known of it, from the planner to the controller.
 
     path_m: (M, 2) vehicle frame of the instant `t_sensor_ns`, ordered forward, first point near the car.
     `laps` completed so far; `stop_distance_m` is the length of path left until the car must stand (None: no stop known

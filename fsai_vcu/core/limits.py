@@ -1,6 +1,6 @@
 """Operational limits: what an official allows at a venue. Loaded at start, confirmed on the screen, never exceeded.
 
-Reading the file is somebody else's work; here a mapping becomes limits, or one clear line says why it cannot.
+The caller reads the file; here a mapping becomes limits, or one clear line says why it cannot.
 """
 
 from __future__ import annotations

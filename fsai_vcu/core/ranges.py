@@ -28,7 +28,9 @@ def ranges_of(settings: type[Value]) -> Mapping[str, tuple[float, float]]:
 
 
 def check_ranges(settings: Value, what: str, others: tuple[float, float] = (0.01, 100.0)) -> None:
-    """`others`: the range of fields that were declared without one. Raises ValueError, which names the setting."""
+    """Check each setting against its range; `others`: the range of fields that were declared without one. Raises
+    ValueError, which names the setting.
+    """
     ranges = ranges_of(type(settings))
     for name in settings.__struct_fields__:
         value = getattr(settings, name)

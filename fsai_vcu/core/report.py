@@ -1,4 +1,4 @@
-"""What the bridge knows, as one immutable snapshot: for the nodes, the status line, the log and the judge."""
+"""Report of what the bridge knows, one immutable snapshot: for the nodes, the status line, the log and the judge."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What the bridge counts for its report: nothing that is sent depends on it, so it is no part of the bridge's state."""
+"""Counts that the bridge keeps for its report.
+
+Nothing that is sent depends on them, so they are no part of the bridge's state.
+"""
 
 from __future__ import annotations
 
@@ -65,8 +68,10 @@ class Tally:
         self.problems[problem] += 1
 
     def on_revision(self, received: str, means: str, ours: str, t_ns: int) -> None:
-        """A frame that only revision `received` sends: another than ours is named when it comes again and again,
-        also among those of this node.
+        """Take in a frame that only revision `received` sends.
+
+        A revision other than the bridge's (`ours`) is named when it comes again and again, also between frames of
+        `ours`.
         """
         if received == ours:
             return
@@ -88,8 +93,8 @@ class Tally:
             self.unanswered_ns = None
 
     def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
-        """What should not be on the bus, in words."""
-        # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
+        """Name what should not be on the bus, in words."""
+        # Named for as long as the car has to stand in AS_READY: the sender of a rare frame is seen before Go.
         found = [(t_ns, f"an intruder sends on our ids: {words}") for t_ns, words in self.intruders.values()]
         if self.other_revision_frames >= _OTHER_REVISION_FROM:
             found.append((self.other_revision_ns, self.other_revision))

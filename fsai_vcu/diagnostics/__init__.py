@@ -1,4 +1,4 @@
-"""What was, or is, on the bus: logs, decoding, statistics. It knows no ROS and takes no decisions.
+"""Diagnostics of what was, or is, on the bus: logs, decoding, statistics. It knows no ROS and takes no decisions.
 
 Frames
     `log.frames.Frames` is a run of frames as columns (numpy), `LogFrame` is one of them. Times are integer

@@ -41,11 +41,11 @@ class _Client:
 class Server(serving.Server):
     """Shows topics that are named beforehand."""
 
-    # Foxglove in a browser, on the desktop (its pages are files), and one that this machine serves itself.
+    # Foxglove in a browser, on the desktop (its pages are files), and a Foxglove that this machine serves itself.
     origins = ("https://app.foxglove.dev", "file://", "http://localhost:*", "http://127.0.0.1:*")
 
     def __init__(self, host: str, port: int, name: str, topics: Sequence[str]) -> None:
-        """Raises OSError."""
+        """Listen on host and port. Raises OSError."""
         super().__init__(host, port)
         self._name = name
         self._numbers = {topic: number for number, topic in enumerate(topics, 1)}
@@ -58,7 +58,7 @@ class Server(serving.Server):
         return self
 
     def publish(self, messages: Iterable[Message]) -> None:
-        """To those who want them. Raises UserError where nobody listens any more."""
+        """Publish messages to the clients that want them. Raises UserError where nobody listens any more."""
         self.check()
         wanted = {number for client in tuple(self._clients) for number in tuple(client.subscribed)}
         found = [
@@ -82,6 +82,7 @@ class Server(serving.Server):
             client.news.set()
 
     async def answer(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
+        """Answer a client: upgrade to the WebSocket, then serve it until it leaves."""
         asked = {each.strip() for each in request.headers.get("Sec-WebSocket-Protocol", "").split(",")}
         if request.headers.get("Upgrade", "").lower() != "websocket" or not asked.intersection(PROTOCOLS):
             return error_page(HTTPStatus.UPGRADE_REQUIRED)
@@ -123,7 +124,7 @@ class Server(serving.Server):
         await response.close()
 
     def _take(self, client: _Client, text: str) -> str:
-        """What a client asks; why it is not understood, or ''."""
+        """Take in what a client asks and return why it is not understood, or ''."""
         try:
             words = json.loads(text)
             if words["op"] == "subscribe":

@@ -1,7 +1,7 @@
-"""What to do about whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
+"""Remedies for whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
 
-Where the AI computer's frames are not this software's, a remedy speaks of your AI computer: its commands, services and
-logs are not ours to name. Where the bus is a virtual one it speaks of programs, for there is no plug.
+Where the AI computer's frames are not this software's, a remedy speaks of your AI computer: this software cannot
+name its commands, services and logs. Where the bus is a virtual one it speaks of programs, for there is no plug.
 """
 
 from __future__ import annotations
@@ -231,7 +231,7 @@ _THEIRS: Final[Mapping[str, str]] = {
     ),
     "handshake": "look at the load of your AI computer and of the bus, and at its log",
 }
-"""The same where the AI computer's frames are not this software's."""
+"""Remedies in the same form where the AI computer's frames are not this software's."""
 
 
 _PROGRAM: Final = "the bus is a virtual one: see whether its program ended or hung (its log), and what else ran there"
@@ -240,7 +240,7 @@ _VIRTUAL: Final[Mapping[str, str]] = {
     **dict.fromkeys(("vcu_silent", "vcu_reboot", "vcu_hung", "vcu_unheard", "handshake_stands", "gap"), _PROGRAM),
     **dict.fromkeys(("wheels_stale", "steering_stale", "silent", "stopped", "bus_lost", "lossy"), _PROGRAM),
 }
-"""The same on a virtual bus (vcan, loopback), which has no plug, no termination and no supply."""
+"""Remedies on a virtual bus (vcan, loopback), which has no plug, no termination and no supply."""
 
 
 class Setting(NamedTuple):
@@ -257,5 +257,5 @@ OURS: Final = Setting()  # this software's frames, on the car's bus
 
 
 def remedy_of(slug: str, setting: Setting = OURS) -> str:
-    """What to do about a cause or a kind of finding; empty where nothing is to be done."""
+    """Return what to do about a cause or a kind of finding; empty where nothing is to be done."""
     return (setting.virtual and _VIRTUAL.get(slug)) or (setting.theirs and _THEIRS.get(slug)) or REMEDIES.get(slug, "")

@@ -1,4 +1,4 @@
-"""A server that only shows, for page and Foxglove alike: who may ask, how many may, and for how long one is waited for.
+"""Server that only shows, for page and Foxglove alike: who may ask, how many, and for how long it waits for them.
 
 aiohttp serves it, in one thread. A web page of others that runs in a browser on this machine must get nothing: by a
 name of its own that leads here (Host), or by asking from where it is (Origin).
@@ -23,7 +23,7 @@ from fsai_vcu.interface.errors import UserError
 
 MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE: Final = 16  # connections from one address: nobody can hold all places
-TIMEOUT_S = 10.0  # who asks nothing, or takes nothing, for so long is gone
+TIMEOUT_S = 10.0  # a client that asks nothing, or takes nothing, for so long is gone
 HEADERS: Final = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -41,10 +41,10 @@ class Server:
     """Serves in a thread from `with` on what `answer` gives to a GET that is allowed."""
 
     origins: tuple[str, ...] = ()
-    """Where else a page may be from than from this server. '*' as its port: from any."""
+    """Origins from which a page may be besides this server. '*' as its port: from any."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises OSError."""
+        """Listen on host and port. Raises OSError."""
         self.host = host
         self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -67,7 +67,7 @@ class Server:
 
     @property
     def beyond(self) -> str:
-        """What is to be said where it listens to more than this machine; '' where it does not."""
+        """Warning where the server listens to more than this machine; '' where it does not."""
         if ipaddress.ip_address(self.server_address[0]).is_loopback:
             return ""
         return f"everybody who reaches {self.host} of this machine over a network can watch"
@@ -91,7 +91,7 @@ class Server:
         self.loop.close()
 
     def check(self) -> None:
-        """Raises UserError where nobody listens any more."""
+        """Raise UserError where nobody listens any more."""
         if not self._ended and not self._thread.is_alive():
             raise UserError(f"nobody listens on {self.url} any more: {self._failed or 'its thread has ended'}")
 
@@ -121,7 +121,7 @@ class Server:
         return await self.answer(request, connection)
 
     def is_named(self, name: str, own: str) -> bool:
-        """Whether `name` means this server, whose address is `own`: no other site can be called so."""
+        """Return true where `name` means this server, whose address is `own`: no other site can be called so."""
         try:
             address = ipaddress.ip_address(name)
         except ValueError:
@@ -130,7 +130,7 @@ class Server:
         return _plain(address) == here or (address.is_loopback and here.is_loopback)
 
     def is_origin(self, origin: str, host: str) -> bool:
-        """Whether a page from there may ask."""
+        """Return true where a page from there may ask."""
         if origin == f"http://{host}" or origin in self.origins:
             return True
         try:
@@ -141,13 +141,13 @@ class Server:
         except ValueError:
             return False
 
-    # What a server has of its own.
+    # Methods that each kind of server has of its own.
 
     async def answer(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
         raise NotImplementedError
 
     def end(self) -> None:
-        """What still waits for something is to stop."""
+        """Stop what still waits for something."""
 
 
 class Connection(web.RequestHandler):
@@ -176,7 +176,7 @@ class Connection(web.RequestHandler):
         super().connection_lost(exc)
 
     def wait(self, patience_s: float | None) -> None:
-        """From now on so long; None: as long as it takes."""
+        """Be patient for so long from now on; None: for as long as it takes."""
         if self._timer is not None:
             self._timer.cancel()
         transport = self.transport
@@ -192,7 +192,7 @@ class Connection(web.RequestHandler):
 
 
 def begun(response: web.StreamResponse, kind: str) -> web.StreamResponse:
-    """With what every answer has."""
+    """Give the response what every answer has."""
     response.headers.update({"Content-Type": f"{kind}; charset=utf-8", **HEADERS})
     response.force_close()
     return response
@@ -209,7 +209,7 @@ def _name_in(host: str) -> str:
 
 
 def _plain(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """The IPv4 address in one that is written as IPv6."""
+    """The IPv4 address in an address that is written as IPv6."""
     return getattr(address, "ipv4_mapped", None) or address
 
 

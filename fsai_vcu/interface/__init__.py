@@ -1,4 +1,4 @@
-"""What the car's CAN interface says: databases, names, enums, scaling, reserved ids, limits of a revision.
+"""Facts of the car's CAN interface: databases, names, enums, scaling, reserved ids, limits of a revision.
 
-Nothing here knows time, sockets or ROS, nor who asks.
+Nothing here knows time, sockets, ROS or its callers.
 """

@@ -1,4 +1,4 @@
-"""Who says what on the car's bus, how often, and when silence counts as loss: one table.
+"""Messages on the car's bus: sender, period, and when silence counts as loss, in one table.
 
 `timeout_ns=None` spells that nobody supervises the message. Periods are those of the interface's databases.
 """
@@ -15,7 +15,7 @@ from fsai_vcu.interface.units import MS
 
 
 class Flow(Enum):
-    """Which way a message goes, seen from the AI computer."""
+    """Direction of a message, seen from the AI computer."""
 
     TO_VCU = "AI to VCU"
     FROM_VCU = "VCU to AI"

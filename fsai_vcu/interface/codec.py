@@ -1,4 +1,4 @@
-"""Between frames and images, both ways.
+"""Codec between frames and images, both ways.
 
 The layout of every message comes from the loaded signal database and from nowhere else. A payload becomes raw numbers
 (`_by_position`), and each of them the value of a field (`Slot`); encoding goes the same way back. Most frames of a bus
@@ -38,7 +38,7 @@ _REMEMBERED: Final = 64  # payloads, and rows of values, of each message
 
 
 class Decoded(Value, frozen=True):
-    """What a frame reports. `image` is None where it reports nothing that may be believed.
+    """Content that a frame reports. `image` is None where it reports nothing that may be believed.
 
     `problems` are sentences for people. `handshake` is the bit of a 0x520, set even where its image was not believed.
     """
@@ -66,6 +66,7 @@ class Codec:
         dbc_paths: Sequence[Path | str] | None = None,
         mapping: WheelMapping = STRAIGHT,
     ) -> None:
+        """Load the databases and lay out every message. Raises DatabaseError."""
         paths = [dbc_dir() / name for name in revision.dbc_files] if dbc_paths is None else list(dbc_paths)
         files = ", ".join(map(str, paths))
         self.revision = revision
@@ -96,11 +97,11 @@ class Codec:
         self.unknown = "" if dbc_paths is None else _lacking_line(files, self._lacking, codec_of(revision)._lacking)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Codec:
-        """What a codec says of a frame never changes: copies of a simulation share it."""
+        """Return the codec itself: what it says of a frame never changes, and copies of a simulation share it."""
         return self
 
     def knows(self, can_id: int) -> bool:
-        """Whether `decode` makes an image of this identifier."""
+        """Return true where `decode` makes an image of this identifier."""
         return can_id in self._by_id
 
     def encode(self, image: Image) -> Frame:
@@ -121,12 +122,12 @@ class Codec:
         return cast("tuple[Frame, Frame, Frame, Frame, Frame]", tuple(frames))
 
     def mask(self, message: type[Image], *names: str) -> int:
-        """Where the signals of these fields are in a payload as a little-endian number; 0 where there are none."""
+        """Return where these fields' signals are in a payload, as a little-endian number; 0 where there are none."""
         slots = self._layouts[message].slots if message in self._layouts else []
         return sum(slot.ones << slot.signal.start for slot in slots if slot.field.name in names)
 
     def decode(self, frame: Frame) -> Decoded:
-        """What `frame` says. Never raises: what cannot be believed is in `problems`."""
+        """Return what `frame` says. Never raises: what cannot be believed is in `problems`."""
         if frame.error:
             return _NOTHING
         if frame.remote or frame.extended:
@@ -170,6 +171,7 @@ class _Layout:
     """One message of the loaded database with the class that it fills."""
 
     def __init__(self, kind: type[Image], message: Message, wheels: WheelMapping, files: str) -> None:
+        """Lay out one message of the database for its class; `lacking` has the signals that are not there."""
         self.kind: Any = kind
         self.message = message.name
         self.can_id = message.frame_id
@@ -202,7 +204,7 @@ class _Layout:
         self._written: dict[tuple[Any, ...], bytes] = {}
 
     def values(self, data: bytes) -> _Said:
-        """What a payload says."""
+        """Return what a payload says."""
         said = self._read.get(data)
         if said is not None:
             return said
@@ -249,10 +251,11 @@ def _remember(known: dict[Any, Any], key: Any, found: Any) -> None:
 
 
 def _by_position(message: Message, signals: Sequence[Signal]) -> tuple[Callable[..., Any], Callable[..., bytes]]:
-    """From a payload to the raw numbers of these signals, the last in the frame first, and back: other bits are 0.
+    """Return functions from a payload to the raw numbers of these signals, the last in the frame first, and back.
 
-    Payloads are read and made from their end, so that little-endian signals are whole. Messages that this cannot do are
-    left to cantools: big-endian ones, and multiplexed ones, where a signal that a frame does not carry is None.
+    Other bits are 0. Payloads are read and made from their end, so that little-endian signals are whole. Messages that
+    this cannot do are left to cantools: big-endian ones, and multiplexed ones, where a signal that a frame does not
+    carry is None.
     """
     if message.is_multiplexed() or any(signal.byte_order != "little_endian" for signal in signals):
         names, others = [signal.name for signal in signals], {signal.name: 0 for signal in message.signals}

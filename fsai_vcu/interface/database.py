@@ -1,4 +1,4 @@
-"""Finding and loading signal databases: our own, or an official file made fit for use.
+"""Finding and loading signal databases: the project's own, or an official file made fit for use.
 
 Official files of 2026 declare one-bit flags signed, so that a set bit would read -1: such signals become unsigned here.
 Signals that are absent are the codec's business.
@@ -49,8 +49,7 @@ class DatabaseError(UserError, ValueError):
 
 
 def load_database(paths: Iterable[Path | str]) -> Database:
-    """Load DBC files into one database, the messages of this interface strictly: no overlapping signals, none beyond
-    its frame.
+    """Load DBC files into one database, this interface's messages strictly: no signals that overlap or leave the frame.
 
     Where two files describe the same identifier, the first one counts. Raises DatabaseError.
     """
@@ -68,6 +67,8 @@ def load_database(paths: Iterable[Path | str]) -> Database:
 
 
 def _load_one(path: Path) -> Database:
+    """Load one DBC file, its messages of this interface strictly. Raises DatabaseError."""
+
     def load(text: str) -> Database:
         database = Database(strict=False)
         database.add_dbc_string(text)
@@ -99,7 +100,7 @@ def _load_one(path: Path) -> Database:
 
 
 def check_whole(path: Path, text: str, *, by_nodes: bool = False) -> None:
-    """Raises DatabaseError for a DBC file that was cut off in its last statement.
+    """Raise DatabaseError for a DBC file that was cut off in its last statement.
 
     by_nodes: one without a line end is whole if it ends in the whole name of a node.
     """
@@ -124,7 +125,7 @@ def _is_whole(statement: str, nodes: set[str]) -> bool:
 
 
 def check_lengths(path: Path, text: str) -> None:
-    """Raises DatabaseError for a DBC file of messages or signals so long that the parser would make room for them."""
+    """Raise DatabaseError for a DBC file of messages or signals so long that the parser would make room for them."""
     for found in _MESSAGE_LENGTH.finditer(text):
         if _too_large(found[1], _LONGEST_BYTES):
             raise DatabaseError(f"{path}: not a valid DBC file: a message of more than {_LONGEST_BYTES} bytes")
@@ -134,7 +135,7 @@ def check_lengths(path: Path, text: str) -> None:
 
 
 def check_bounds(path: Path, database: Database) -> None:
-    """Raises DatabaseError for a database, of any kind, whose messages, names or numbers are larger than any real one.
+    """Raise DatabaseError for a database, of any kind, whose messages, names or numbers are larger than any real one.
 
     Every frame of a log is taken apart by them: what is large here is large as many times as there are frames.
     """
@@ -160,7 +161,7 @@ def _check_texts(path: Path, *texts: object) -> None:
 
 
 def is_modest(text: str) -> bool:
-    """Whether the parser's work on a DBC file is bounded: in others small texts can name millions of values."""
+    """Return true where the parser's work on a DBC file is bounded: small texts can name millions of values."""
     if len(text) > _MODEST_CHARACTERS or _IMMODEST.search(text):
         return False
     return sum(1 for _ in _MULTIPLEXED.finditer(text)) <= 500
@@ -171,7 +172,7 @@ def _too_large(digits: str, most: int) -> bool:
 
 
 def make_flags_unsigned(database: Database) -> None:
-    """One-bit signals become 0 and 1, whatever their sign."""
+    """Make one-bit signals 0 and 1, whatever their sign."""
     for message in database.messages:
         for signal in message.signals:
             if signal.length == 1 and signal.is_signed:

@@ -64,9 +64,10 @@ def read_database_text(path: Path | str, kind: str) -> str:
 
 
 def loaded_without_orphans(load: Callable[[str], _Loaded], text: str) -> tuple[_Loaded, str]:
-    """What `load` makes of a DBC file's text; if it refuses it, of the text without entries that belong to nothing.
+    """Load a DBC file's text by `load`; if that refuses it, load the text without entries that belong to nothing.
 
-    Also a sentence on what was left out, or ''. Raises what `load` raises of the text as it is.
+    Returns what `load` returned, and a sentence on what was left out, or ''. Raises what `load` raises of the text as
+    it is.
     """
     try:
         return load(text), ""

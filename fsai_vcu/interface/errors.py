@@ -1,4 +1,4 @@
-"""What a person can put right, wherever it is found: raised there, printed by the command line as one line."""
+"""Errors that a person can put right: raised wherever they are found, printed by the command line as one line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class UserError(Exception):
 
 
 class WrongUse(UserError):
-    """What was asked for makes no sense, whatever is on the bus or in the log."""
+    """Request that makes no sense, whatever is on the bus or in the log."""
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""How a message is declared: a class whose fields name the signals that fill them.
+"""Declaration of a message: a class whose fields name the signals that fill them.
 
     class AiSteer(Message, frozen=True):
         dbc_name, required = "AI2VCU_Steer", True
@@ -27,7 +27,7 @@ NOT_READ: Final = "these values are not read"
 
 
 class Refuse(Enum):
-    """What an unknown value of a choice does when no substitute may stand for it."""
+    """Effect of an unknown value of a choice when no substitute may stand for it."""
 
     FRAME = auto()  # the whole frame is not believed
 
@@ -97,7 +97,7 @@ def fields_of(declared: Any, wheels: WheelMapping = STRAIGHT) -> tuple[Field, ..
 
 
 def by_message(state: type) -> dict[type, str]:
-    """For a class with a field for each of several messages: the name of each message class's field."""
+    """Name the field for each message class, in a class with a field for each of several messages."""
     return {
         kind: name for name, hint in get_type_hints(state).items() for kind in get_args(hint) if kind is not NoneType
     }

@@ -27,7 +27,7 @@ from fsai_vcu.interface.enums import (
 from fsai_vcu.interface.fields import NOT_READ, Message, Signal, by_message, fields_of
 from fsai_vcu.interface.values import Value
 
-# What follows where a database lacks a signal.
+# Consequences of a database that lacks a signal.
 _NOT_SENT: Final = "not sent"
 _NO_FAULT: Final = "these faults are not seen"
 _NO_SWITCH: Final = "that a switch goes off is not seen"
@@ -128,7 +128,7 @@ class AiCommand(Value, frozen=True):
 COMMAND_FIELDS: Final[Mapping[type[AiImage], Mapping[str, str]]] = {
     message: {one.name: one.command or one.name for one in fields_of(message)} for message in get_args(AiImage)
 }
-"""For each message of the AI computer, in sending order: its fields and those of AiCommand."""
+"""Fields of each message of the AI computer, in sending order, and those of AiCommand."""
 
 
 def command_of(images: Mapping[type, AiImage]) -> AiCommand:
@@ -166,7 +166,7 @@ class Faults(Value, frozen=True):
 
 
 FAULT_NAMES: Final[Mapping[str, str]] = {one.name: one.signal for one in fields_of(Faults)}
-"""For each field of Faults the databases' name, which is also the one for people."""
+"""Databases' name for each field of Faults, which is also the name for people."""
 
 
 class VcuStatus(Message, frozen=True):
@@ -332,7 +332,7 @@ class VcuSystemStatus(Message, frozen=True):
 
 
 class VehicleState(Value, frozen=True):
-    """What the car has reported so far. None means never received; each image carries the time of its frame.
+    """State that the car has reported so far. None means never received; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
     (an AS_STATE outside the table leaves `status` as it was, to grow stale); `status_known` tells of such a frame.
@@ -464,7 +464,7 @@ class LogDynamics2(Message, frozen=True):
 
 
 class GpsImu(Value, frozen=True):
-    """What the PCAN-GPS has reported so far, of what is read of it. None: never received."""
+    """State that the PCAN-GPS has reported so far, of what is read of it. None: never received."""
 
     acceleration: Acceleration | None = None
     rotation_a: RotationA | None = None

@@ -1,4 +1,4 @@
-"""Which identifiers an AI computer sends, which it may send on some cars, and which it must never send."""
+"""Identifiers that an AI computer sends, that it may send on some cars, and that it must never send."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ REVISION_IDS: Final = frozenset({_STATUS.can_id, _SYSTEM.can_id})
 
 
 def revision_by_frame(can_id: int, data: bytes) -> tuple[str, str] | None:
-    """As `revision_by_status`, of one frame of the VCU on one of `REVISION_IDS`."""
+    """Tell the revision as `revision_by_status`, of one frame of the VCU on one of `REVISION_IDS`."""
     if can_id == _STATUS.can_id and len(data) == _STATUS.dlc:
         return revision_by_status(int.from_bytes(data, "little"))
     if can_id == _SYSTEM.can_id and len(data) == _SYSTEM.dlc:
@@ -93,7 +93,7 @@ _ANGLE_MAX_DEG: Final = 0.1
 
 
 def revision_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
-    """As `revision_by_status`, of all payloads of 0x523 (six bytes): the steering goes further in one of the two."""
+    """Tell the revision as `revision_by_status`, of all 0x523 (six bytes): one of the two steers further."""
     most_deg = max((word >> _ANGLE_MAX_BIT & 0xFFFF for word in words), default=0) * _ANGLE_MAX_DEG
     if most_deg < REVISIONS["2021"].steer_limit_deg:
         return None
@@ -102,7 +102,7 @@ def revision_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
 
 
 def revision_by_init(words: Iterable[int]) -> tuple[str, str] | None:
-    """As `revision_by_status`, of all payloads of 0x520: AS_INIT is a state of the later revision alone."""
+    """Tell the revision as `revision_by_status`, of all 0x520: AS_INIT is a state of the later revision alone."""
     if any(word >> _AS_STATE_BIT & 0xF == 0 for word in words):
         return "2026", "AS_STATE is 0 (AS_INIT) at times"
     return None

@@ -1,4 +1,4 @@
-"""Between the raw number of a signal and the value of a field, both ways."""
+"""Slots between the raw number of a signal and the value of a field, both ways."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _is_number(value: Any) -> bool:
 
 
 class _Table(dict[Any, Any]):
-    """What each of a few things becomes; any other is for `otherwise`."""
+    """Table of what each of a few things becomes; any other is for `otherwise`."""
 
     def __init__(self, known: Mapping[Any, Any], otherwise: Callable[[Any], Any]) -> None:
         super().__init__(known)
@@ -54,6 +54,7 @@ class Slot:
     """
 
     def __init__(self, field: Field, signal: Signal, message: str, place: int) -> None:
+        """Join a field to the signal that fills it, with the readers and writers that fit its kind."""
         self.field, self.signal, self.place = field, signal, place
         self.ones = (1 << signal.length) - 1
         self._what = f"{message}: {signal.name}"
@@ -81,7 +82,7 @@ class Slot:
             self.read = _Table({int(member): member for member in members}, self._unknown).__getitem__
 
     def read_if_said(self, raw: float | None) -> Any:
-        """As `read`, in a message that does not always carry the signal: its raw number is None then."""
+        """Read as `read`, in a message that does not always carry the signal: its raw number is None then."""
         if raw is not None:
             return self.read(raw)
         return Refuse.FRAME if self.field.absent is None else self.field.default
@@ -96,6 +97,7 @@ class Slot:
         raise self._refused(value)
 
     def _number_reader(self) -> Callable[[Any], Any]:
+        """Return the function that makes the field's number of a raw number."""
         what, holds, offset = self._what, self.field.holds, self.signal.offset
         # A decimal scale is a quotient of whole numbers: products with it round as decimals do.
         up, down = map(float, Fraction(str(self.signal.scale)).as_integer_ratio())
@@ -116,6 +118,7 @@ class Slot:
         return scaled if offset or up != down else holds
 
     def _number_writer(self) -> Callable[[Any], float]:
+        """Return the function that makes a raw number of the field's number."""
         low, high, offset, is_float = self._low, self._high, float(self.signal.offset), self.signal.is_float
         up, down = Fraction(str(self.signal.scale)).as_integer_ratio()
         per_unit, clamped = down / up, self._clamped
@@ -137,7 +140,7 @@ class Slot:
         return scaled if is_float or offset or per_unit != 1 else whole
 
     def _clamped(self, value: Any) -> Any:
-        """A number beyond the range as it is sent: a logging field's, or one that is out by a float's rounding."""
+        """A number beyond the range as it is sent: a logging field's, or a number that is out by a float's rounding."""
         low, high, margin = self._low, self._high, self._margin
         if _is_number(value) and (self.field.saturates or low - margin <= value <= high + margin):
             return min(max(value, low), high)

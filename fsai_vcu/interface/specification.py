@@ -1,6 +1,6 @@
 """Numbers of the interface specification v4.0 that no signal database holds.
 
-They are facts of the car. Our own limits and times, tighter than these, are in the core's BridgeConfig.
+They are facts of the car. The project's own limits and times, tighter than these, are in the core's BridgeConfig.
 """
 
 from __future__ import annotations

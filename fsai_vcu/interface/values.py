@@ -29,7 +29,7 @@ SENTENCE_LENGTH: Final = 500
 Word = Annotated[str, msgspec.Meta(max_length=WORD_LENGTH)]
 """A name: of a mode, a role, a car, a reason."""
 Detail = Annotated[str, msgspec.Meta(max_length=DETAIL_LENGTH)]
-"""What is said besides: the detail of a reason, a problem of a frame."""
+"""Text that is said besides: the detail of a reason, a problem of a frame."""
 Sentence = Annotated[str, msgspec.Meta(max_length=SENTENCE_LENGTH)]
 Whole = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]

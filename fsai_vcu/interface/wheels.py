@@ -1,4 +1,4 @@
-"""Which signal carries which wheel: cars have been met whose wheel sensors are wired to the wrong inputs."""
+"""Mapping of signals to wheels: cars have been met whose wheel sensors are wired to the wrong inputs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ WHEELS = ("fl", "fr", "rl", "rr")
 
 
 class WheelMapping(Value, frozen=True):
-    """For each wheel, the position whose signals in 0x525 and 0x526 carry it; the default is the documented wiring.
+    """Mapping of each wheel to the position whose signals in 0x525 and 0x526 carry it; the default: as documented.
 
     `WheelMapping(fl="fr", fr="fl")` says: the front left wheel is found in FR_WHEEL_SPEED and FR_PULSE_COUNT.
     """
@@ -38,7 +38,7 @@ class WheelMapping(Value, frozen=True):
 
     @classmethod
     def of(cls, mapping: Mapping[str, str]) -> WheelMapping:
-        """From a mapping with any of the keys fl, fr, rl, rr; wheels left out stay where they are."""
+        """Make the mapping from one with any of the keys fl, fr, rl, rr; wheels left out stay where they are."""
         strange = sorted(set(mapping) - set(WHEELS))
         if strange:
             raise ValueError(f"wheel mapping names {', '.join(strange)}: the wheels are {', '.join(WHEELS)}")

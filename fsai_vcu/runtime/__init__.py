@@ -1,4 +1,4 @@
-"""Where decisions meet the machine: the 10 ms loop, the bus, clocks, real-time scheduling, recording.
+"""Runtime: decisions meet the machine here, with the 10 ms loop, the bus, clocks, real-time scheduling and recording.
 
 It knows neither ROS nor what a decision means.
 """

@@ -23,12 +23,12 @@ _TOO_MUCH: Final = "it takes more memory or time than a file of its size does"
 
 
 class BoundedError(Exception):
-    """Why the work could not be done, as the end of a sentence."""
+    """Reason why the work could not be done, as the end of a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What the process may take beside what it has before it looks at the file."""
+    """Bounds on what the process may take beside what it has before it looks at the file."""
 
     memory_bytes: int
     memory_times: int  # as many for each byte of the file
@@ -42,7 +42,7 @@ class _End:
 
 
 def results_of(module: str, *words: str) -> Iterator[Any]:
-    """What the module, run as a program with these words, sends by `send_results`. Raises BoundedError."""
+    """Yield what the module, run as a program with these words, sends by `send_results`. Raises BoundedError."""
     environ = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # each takes 30 MB of addresses, and none computes there
     null = subprocess.DEVNULL
     command = module_command(module, *words)
@@ -81,7 +81,7 @@ def send_results(path: Path, bounds: Bounds, work: Callable[[Callable[[Any], Non
 
 
 def _limit(path: Path, bounds: Bounds) -> None:
-    """Of this process from here on."""
+    """Limit this process from here on."""
     size = bytes_on_disk(path.stat())
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     usage = resource.getrusage(resource.RUSAGE_SELF)

@@ -2,8 +2,8 @@
 
 A frame either went out, or was dropped because the transmit queue is full (`send` returns False: a normal event), or
 the bus is gone (`BusLost`). Any python-can interface serves: `vcan0` and `can0` are SocketCAN channels, `loopback:NAME`
-is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. Where a sender receives its
-own frames nobody may drive: they would look like an intruder's.
+is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. On an interface whose sender
+receives its own frames nobody may drive: they would look like an intruder's.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ class CanBus:
         *,
         wall_clock_stamps: bool = False,
     ) -> None:
+        """Take over python-can's `bus`; the class says what the arguments mean."""
         self._bus = bus
         self._may_send = _allowed(may_send)
         self._stamped = wall_clock_stamps
@@ -109,9 +110,9 @@ class CanBus:
         return frames
 
     def recv_stamped(self, timeout_s: float, *, bus_off_is_lost: bool = True) -> tuple[Frame, int] | None:
-        """As `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs.
+        """Receive as `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs.
 
-        Whoever only listens may take a bus-off for the error frame that it is: `bus_off_is_lost=False`.
+        A caller that only listens may take a bus-off for the error frame that it is: `bus_off_is_lost=False`.
         """
         taken = self._taken(timeout_s)
         now_ns = self._observe()
@@ -176,7 +177,7 @@ class CanBus:
                 return None
 
     def fileno(self) -> int:
-        """What to wait on for frames; -1 where the interface has nothing of the kind."""
+        """Return what to wait on for frames; -1 where the interface has nothing of the kind."""
         try:
             return self._bus.fileno()
         except NotImplementedError:
@@ -229,6 +230,7 @@ class SocketCanBus(CanBus):
         self._socket.send(_CAN_FRAME.pack(word, len(frame.data), frame.data), socket.MSG_DONTWAIT)
 
     def _take(self, timeout_s: float) -> _Taken | None:
+        """Return the next frame that the socket has, or None after `timeout_s`. Raises BusLost."""
         until = time.monotonic() + timeout_s if timeout_s > 0.0 else 0.0
         while True:
             try:
@@ -290,7 +292,7 @@ def _words_of(error: can.CanError | OSError) -> str:
 
 
 def _allowed(may_send: Iterable[int] | None) -> frozenset[int] | None:
-    """The ids that may be transmitted. Raises ValueError for one that is reserved for the car."""
+    """The ids that may be transmitted. Raises ValueError for an id that is reserved for the car."""
     allowed = None if may_send is None else frozenset(may_send)
     reserved = sorted((allowed or frozenset()) & RESERVED_IDS)
     if reserved:

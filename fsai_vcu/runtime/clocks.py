@@ -26,8 +26,8 @@ class StampConverter:
     """Converts stamps by the offsets (ROS time - steady time) of the last second.
 
     After a step of the wall clock, stamps made shortly before it still arrive for a while; they are converted by the
-    offset before the step. Which offset a stamp belongs to is not written on it: the one that makes it youngest
-    without putting it into the future is taken.
+    offset before the step. A stamp does not say to which offset it belongs: the offset that makes it youngest without
+    putting it into the future is taken.
     """
 
     def __init__(self) -> None:

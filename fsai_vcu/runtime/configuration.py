@@ -37,7 +37,7 @@ BITRATE = 500_000  # interface specification v4.0: 500 kbit/s
 _SHORT = 60  # characters of a value in a sentence about it
 QUEUE_FRAMES = 10  # two cycles of commands; more would be stale before they left
 
-# What a text must look like, and the words for it. Services run in /, so a path that is not whole leads nowhere there.
+# Forms that a text must have, and the words for them. Services run in /, where a path that is not whole leads nowhere.
 _BUS = (r"[\w.-]{1,15}|[\w-]+:\S+", "a CAN interface such as can0, or KIND:CHANNEL")  # linux/if.h: IFNAMSIZ
 _PATH = (r"/[^\0]*", "a whole path, from / on")
 _PATH_OR_EMPTY = (rf"({_PATH[0]})?", _PATH[1])
@@ -78,11 +78,11 @@ class Key(Value, frozen=True):
 
     @property
     def parameter(self) -> str:
-        """Of a speed it has no unit in its name, of the laps no mission."""
+        """Name of the ROS parameter: a speed has no unit in it, the laps no mission."""
         return self.name.removeprefix("trackdrive_").removesuffix("_mps")
 
     def problem(self, value: object) -> str | None:
-        """Why `value` cannot stand there, as the end of a sentence about it."""
+        """Say why `value` cannot stand there, as the end of a sentence about it."""
         if isinstance(self.default, WheelMapping):
             return _mapping_problem(value)
         if isinstance(self.default, tuple):
@@ -196,7 +196,9 @@ _DISCOVERY = {"localhost": LOOPBACK, "subnet": NETWORKS}
 
 
 class Configuration(Value, frozen=True):
-    """What the file says, with the defaults for what it leaves out. `limits`: None where no file is named."""
+    """Content of the configuration file, with the defaults for what it leaves out. `limits`: None where no file is
+    named.
+    """
 
     path: Path | None
     limits: OperationalLimits | None = None
@@ -269,7 +271,7 @@ class Configuration(Value, frozen=True):
         return found
 
     def environment(self) -> dict[str, str]:
-        """What ROS 2 reads from a process's environment."""
+        """Return what ROS 2 reads from a process's environment."""
         found = {"ROS_DOMAIN_ID": self.text("ros", "domain_id"), **_DISCOVERY[self.text("ros", "discovery")]}
         if keystore := self.text("ros", "keystore"):
             found |= {
@@ -306,7 +308,7 @@ def read_configuration(path: Path | str) -> Configuration:
 
 
 def parse_configuration(text: str, path: Path) -> Configuration:
-    """As `read_configuration`, of a text as if from `path`."""
+    """Read the configuration as `read_configuration`, of a text as if from `path`."""
     try:
         document = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
@@ -355,7 +357,7 @@ def parse_configuration(text: str, path: Path) -> Configuration:
 
 
 def usual_environment(environ: Mapping[str, str] | None = None) -> dict[str, str]:
-    """What a command of the operator's needs besides `environ` to reach the car's nodes: nothing without the file.
+    """Return what an operator's command needs besides `environ` to reach the car's nodes: nothing without the file.
 
     What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of. Raises
     ConfigurationError where this user may not read it: the car's nodes would be looked for in the wrong place.

@@ -15,12 +15,12 @@ from fsai_vcu.runtime.toml_lines import TomlLines, line_of, parse_toml, tomllib,
 
 
 def read_limits(path: Path | str) -> OperationalLimits:
-    """Raises LimitsError with one clear line that names the file, and the line in it."""
+    """Read the operational limits. Raises LimitsError with one clear line that names the file, and the line in it."""
     return limits_in(read_limits_text(path), path)
 
 
 def read_limits_text(path: Path | str) -> str:
-    """What stands in the file. Raises LimitsError."""
+    """Return the text of the file. Raises LimitsError."""
     try:
         return read_named(path, SETTINGS_BYTES)
     except UnicodeDecodeError as error:
@@ -31,7 +31,7 @@ def read_limits_text(path: Path | str) -> str:
 
 
 def limits_in(text: str, path: Path | str) -> OperationalLimits:
-    """As `read_limits`, of a text as if from `path`."""
+    """Read the operational limits as `read_limits`, of a text as if from `path`."""
     try:
         mapping = parse_toml(text)
     except tomllib.TOMLDecodeError as error:

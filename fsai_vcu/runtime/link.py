@@ -1,12 +1,12 @@
-"""What the CAN loop's process and its edge say to each other: datagrams on socket pairs, and nobody waits for anybody.
+"""Link between the CAN loop's process and its edge: datagrams on socket pairs, and nobody waits for anybody.
 
 The loop shares no interpreter, lock or allocator with its edge (the ROS node). Each message is one datagram, sent
 without waiting. What finds no room is dropped and counted, never kept: nothing can wait in front of anything. The next
-report, command or Alive replaces one that was dropped; a request that was dropped is refused to its sender at once. The
-end of a process is seen at once, as the end of the stream.
+report, command or Alive replaces a dropped message of its kind; a request that was dropped is refused to its sender at
+once. The end of a process is seen at once, as the end of the stream.
 
-There are two lanes, a socket pair each. What stops the car (`URGENT`), all answers and the loop's last word have one of
-their own, where only those few are: they arrive whatever the other lane is full of.
+There are two lanes, a socket pair each. What stops the car (`URGENT`), all answers and the loop's last word have a lane
+of their own, where only those few are: they arrive whatever the other lane is full of.
 
 A message is a value, encoded as msgpack and checked against the bounds of its type where it is decoded; so is what is
 sent, but for reports, whose texts the core has shortened. Nothing that arrives can do more than be refused: what cannot
@@ -95,7 +95,7 @@ class Ask(Value, frozen=True, tag=True):
 
 
 class Answer(Value, frozen=True, tag=True):
-    """To the request of that number."""
+    """Answer to the request of that number."""
 
     number: Count
     accepted: bool
@@ -103,7 +103,7 @@ class Answer(Value, frozen=True, tag=True):
 
 
 class LinkTrouble(Value, frozen=True):
-    """What went wrong at one end of the link since it was made: counts of messages, and the newest in words."""
+    """Trouble at one end of the link since it was made: counts of messages, and the newest in words."""
 
     dropped: Count = 0  # found no room: the other side did not read
     refused: Count = 0  # were not sent: beyond the bounds of their type
@@ -117,14 +117,15 @@ class LoopReport(Value, frozen=True, tag=True):
     bridge: BridgeReport
     reopened: Count = 0  # how often a lost bus was opened again
     deadline_misses: Count = 0
-    # What of real-time scheduling was not allowed, in words.
+    # Parts of real-time scheduling that were not allowed, in words.
     scheduling_refused: Annotated[tuple[Sentence, ...], Meta(max_length=4)] = ()
     link: LinkTrouble = LinkTrouble()  # of the loop's end
 
 
 class LogLine(Value, frozen=True, tag=True):
-    """A line of the loop's log, with the traceback of what was raised; the loop itself writes to no file, terminal or
-    socket of a journal.
+    """Line of the loop's log, with the traceback of what was raised.
+
+    The loop itself writes to no file, terminal or socket of a journal.
     """
 
     logger: Word
@@ -142,7 +143,7 @@ Message = VehicleCommand | ResetConfirmed | Alive | Ask | Answer | LogLine | End
 
 
 def _plain(value: object) -> object:
-    """What msgspec can encode, of what only guards it from being changed."""
+    """Return what msgspec can encode in place of a wrapper that only guards it from being changed."""
     if isinstance(value, MappingProxyType):
         return dict(value)
     raise NotImplementedError(f"nothing of the type {type(value).__name__} can be sent")
@@ -183,11 +184,13 @@ class LinkEnd:
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """What to wait on for messages; none once it is closed."""
+        """Return what to wait on for messages; nothing once the link is closed."""
         return () if self.closed else tuple(lane.fileno() for lane in self._lanes)
 
     def send(self, message: Message) -> bool:
-        """Whether it is on its way. Never waits and never raises: a full or dead link is the other side's trouble."""
+        """Send a message, and return true where it is on its way. Never waits and never raises: a full or dead link is
+        the other side's trouble.
+        """
         self.refusal = ""
         if self.closed:
             return False
@@ -206,7 +209,7 @@ class LinkEnd:
         return True
 
     def receive(self) -> list[Message]:
-        """What waits, the urgent lane's first; of several reports the newest, as the last element.
+        """Return the messages that wait, the urgent lane's first; of several reports the newest, as the last element.
 
         At most some hundred messages at once: a flood is read turn by turn.
         """
@@ -276,7 +279,7 @@ def _name_of(message: Message) -> str:
 
 
 def _is_over(lane: socket.socket) -> bool:
-    """Whether nothing can come any more: an empty datagram is read like the end of the stream."""
+    """Return true where nothing can come any more: an empty datagram is read like the end of the stream."""
     waiting = select.poll()
     waiting.register(lane, 0)
     return any(events & (select.POLLHUP | select.POLLERR) for _, events in waiting.poll(0))

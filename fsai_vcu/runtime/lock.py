@@ -1,4 +1,4 @@
-"""One bridge per interface: an exclusive lock that the kernel drops with the process, however it dies."""
+"""Lock of an interface for one bridge: exclusive, and dropped by the kernel with the process, however it dies."""
 
 from __future__ import annotations
 
@@ -49,13 +49,16 @@ class InterfaceLock:
     """Holds the interface that `spec` names for this process, however it is spelt (vcan0 or socketcan:vcan0).
 
     An abstract Unix socket: no file is left behind, and its scope is the network namespace, as the interface's is. Any
-    user may take such a name, so it keeps out only when its holder is this user, root or the services' user. With
-    somebody else's the lock is not had, the log says who has it, and this process goes on: who else sends on the
+    user may take such a name, so it keeps out only when its holder is this user, root or the services' user. Where
+    another user holds it, this process goes on without the lock, and the log names the holder: another sender on the
     interface is seen there. Raises AlreadyRunning, or BusError where no lock can be had at all.
     """
 
     def __init__(self, spec: str, *, polite: bool = False) -> None:
-        """polite: anybody's hold is respected; for what can wait, and does not keep the car from being driven."""
+        """Take the lock.
+
+        polite: it respects anybody's hold; for a process that can wait, and does not keep the car from being driven.
+        """
         address = _address(spec)
         try:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
@@ -83,7 +86,7 @@ class InterfaceLock:
         self._socket.listen(_PROBES)
 
     def answer_probes(self) -> None:
-        """Let go of those who have asked who holds the interface; to be called now and then."""
+        """Let go of the processes that have asked who holds the interface; to be called now and then."""
         with contextlib.suppress(OSError):
             while True:
                 self._socket.accept()[0].close()
@@ -99,7 +102,7 @@ def holder_pid(spec: str) -> int | None:
 
 
 def _holder(spec: str, wait_s: float = _ASK_S) -> Holder | None:
-    """Who has the lock's name. None: nobody, or one who has not begun to answer within `wait_s`."""
+    """Return the holder of the lock's name. None: nobody, or a process that has not begun to answer within `wait_s`."""
     until_s = time.monotonic() + wait_s
     while True:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 _IDLE_WAIT_S, _BLIND_WAIT_S = 0.02, 0.001
 _FULL_COLLECTION_EVERY = 3000  # cycles
 
-# What the bridge has use for; intruders on the AI's own ids are received on purpose.
+# Frames that the bridge has use for; intruders on the AI's own ids are received on purpose.
 RECEIVE_IDS = frozenset({0x120, *range(0x500, 0x503), *range(0x510, 0x515), *range(0x520, 0x527), *range(0x600, 0x641)})
 
 
@@ -58,9 +58,9 @@ class BridgeLoop:
         self._cycles = 0
 
     def run(self, number: int) -> None:
-        """Until the end. An exception is reported to the edge and ends it; nothing is raised.
+        """Run until the end. An exception is reported to the edge and ends the loop; nothing is raised.
 
-        number: of the request to run, which is answered once it does.
+        number: of the request to run, which is answered once the loop runs.
         """
         try:
             if self._settings.real_time:
@@ -98,6 +98,7 @@ class BridgeLoop:
     # ------------------------------------------------------------ a turn
 
     def _turn(self) -> None:
+        """Do one turn: sleep, read, update, and act; a lost bus ends the turn."""
         turns, bus = self._turns, self._bus
         try:
             wait_s = (turns.due_ns() - time.monotonic_ns()) / 1e9
@@ -114,7 +115,7 @@ class BridgeLoop:
             self._do(turns.lost(str(lost), time.monotonic_ns()))
 
     def _read_edge(self) -> list[Message] | None:
-        """What the edge has sent; None once it is gone."""
+        """Return what the edge has sent; None once it is gone."""
         if self._link.closed:
             return None
         messages = self._link.receive()
@@ -123,6 +124,7 @@ class BridgeLoop:
         return messages
 
     def _do(self, actions: Iterable[Action]) -> None:
+        """Carry out actions in order, those that a Send returns too."""
         for action in actions:
             match action:
                 case Send(frames):
@@ -170,7 +172,7 @@ class BridgeLoop:
         self._link.send(LoopReport(report, turns.reopened, turns.deadline_misses, self._refused, self._link.trouble))
 
     def _last_words(self, why: str) -> None:
-        """One attempt at an emergency request after a failure of the loop itself."""
+        """Make one attempt at an emergency request after a failure of the loop itself."""
         try:
             for frame in self._turns.failed(why, time.monotonic_ns()):
                 if self._bus is not None:

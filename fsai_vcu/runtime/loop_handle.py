@@ -53,7 +53,10 @@ class LoopHandle:
     """The loop at the far end of a link. For one thread."""
 
     def __init__(self, end: Lanes, process: subprocess.Popen[bytes] | None = None) -> None:
-        """process: the one that has the other end; `start_loop_process` makes both."""
+        """Hold the near end of the link.
+
+        process: the process that has the other end; `start_loop_process` makes both.
+        """
         self._link = LinkEnd(end)
         self._process = process
         self._newest: LoopReport | None = None
@@ -71,7 +74,7 @@ class LoopHandle:
 
     @property
     def running(self) -> bool:
-        """Whether the loop runs, as far as is known."""
+        """Return true while the loop runs, as far as is known."""
         self._take()
         return self._active and not self._link.closed
 
@@ -102,7 +105,7 @@ class LoopHandle:
         return not self._hangs
 
     def close(self) -> None:
-        """End the process as well. One that hangs is killed: its silence stops the car."""
+        """End the process as well. A process that hangs is killed: its silence stops the car."""
         hangs = not self.deactivate()
         self._link.close()
         if self._process is not None:
@@ -132,7 +135,7 @@ class LoopHandle:
         return self._link.refusal
 
     def alive(self) -> None:
-        """To be called once a second: where nobody does, systemd's watchdog starts edge and loop again."""
+        """Tell the loop that the edge lives, once a second: else systemd's watchdog starts edge and loop again."""
         self._link.send(Alive())
 
     def confirm_reset(self, role: str, run_id: int) -> str:
@@ -162,7 +165,7 @@ class LoopHandle:
     def _answer_to(
         self, what: Request, argument: LoopSettings | int | str | None, timeout_s: float, *, better_late: bool = True
     ) -> Answer | None:
-        """The answer; None where none comes in time. One that comes later is for nobody.
+        """The answer; None where none comes in time. An answer that comes later is for nobody.
 
         A request that cannot be sent is refused at once; so is one for which a loop that does not read has no room.
         """
@@ -198,7 +201,7 @@ class LoopHandle:
 
     @property
     def silent(self) -> bool:
-        """Whether the loop should report and does not. An edge that was held up itself does not know it yet."""
+        """Return true while the loop should report and does not. An edge that was held up itself cannot know yet."""
         reported_ns = self.loop_report().bridge.t_ns
         return self._active and time.monotonic_ns() - max(reported_ns, self._reads_since_ns) >= LOOP_SILENT_NS
 
@@ -209,7 +212,7 @@ class LoopHandle:
         return self._newest
 
     def link_trouble(self) -> dict[str, object]:
-        """What went wrong on the link, for people: counts by the end that has them, and the newest words."""
+        """Return what went wrong on the link, for people: counts by the end that has them, and the newest words."""
         values: dict[str, object] = {}
         ends = ("node", self._link.trouble), ("loop", self.loop_report().link)
         for end, trouble in ends:
@@ -221,6 +224,7 @@ class LoopHandle:
         return values
 
     def _take(self) -> None:
+        """Take in what the loop has sent: reports, answers, log lines, its end."""
         now_ns = time.monotonic_ns()
         if now_ns - self._read_ns >= _NOT_READ_NS:
             self._reads_since_ns = now_ns
@@ -240,7 +244,7 @@ class LoopHandle:
             self.failure = self.failure or self._how_it_ended()
 
     def _how_it_ended(self) -> str:
-        """Of a process that ended without a word."""
+        """Say how a process ended that said nothing itself."""
         if self._process is None:
             return "its end of the link is closed"
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -249,7 +253,7 @@ class LoopHandle:
         return "it has closed its link"
 
     def _await(self, condition: Callable[[], bool], timeout_s: float) -> None:
-        """Until the condition holds, the link ends or the time is over."""
+        """Wait until the condition holds, the link ends or the time is over."""
         until = time.monotonic() + timeout_s
         while True:
             self._take()

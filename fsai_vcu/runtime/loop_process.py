@@ -26,7 +26,7 @@ logger = logging.getLogger("fsai_vcu.runtime.loop_process")  # started as a prog
 
 
 def serve(link: LinkEnd) -> None:
-    """Everything between the settings and the end of the link."""
+    """Serve the edge from the settings to the end of the link."""
     settings: LoopSettings | None = None
     codec: Codec | None = None
     while not link.closed:
@@ -50,6 +50,7 @@ def serve(link: LinkEnd) -> None:
 
 
 def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, number: int, first_run_id: int) -> None:
+    """Make the bridge and run its loop; the answer to request `number` says when it has begun, or why it has not."""
     try:
         bridge = Bridge(
             codec,

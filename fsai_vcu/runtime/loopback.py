@@ -1,8 +1,8 @@
 """A stand-in bus for machines without CAN: frames as datagrams that never leave this computer.
 
-Every frame is one UDP multicast datagram on the loopback interface (time to live 0), so several processes share a
-bus as they would share `vcan0`. A multicast sender receives its own: each datagram is tagged with its sender, and
-one's own are dropped. It has no bitrate, no acknowledge and no arbitration: it is for rehearsal, never for the car.
+Every frame is one UDP multicast datagram on the loopback interface (time to live 0), so several processes share a bus
+as they would share `vcan0`. A multicast sender receives its own: each datagram is tagged with its sender, and a process
+drops its own. It has no bitrate, no acknowledge and no arbitration: it is for rehearsal, never for the car.
 
 Registered with python-can as interface `fsai_loopback`, so that python-can's own tools can look at such a bus too.
 """
@@ -38,6 +38,7 @@ class LoopbackBus(can.BusABC):
     def __init__(
         self, channel: str = "fsai", can_filters: can.typechecking.CanFilters | None = None, **kwargs: Any
     ) -> None:
+        """Open the socket of the group that stands for `channel`."""
         self._closed = True
         self._group, self._port = group_of(channel)
         self._sender = os.urandom(8)
@@ -76,6 +77,7 @@ class LoopbackBus(can.BusABC):
             raise can.CanOperationError(f"Failed to transmit: {error.strerror}", error.errno) from error
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return the next message of another process, or None after `timeout` (s), as python-can asks for it."""
         until = None if timeout is None else time.monotonic() + timeout
         while True:
             try:
@@ -93,7 +95,7 @@ class LoopbackBus(can.BusABC):
                 return message, False
 
     def _message_of(self, datagram: bytes) -> can.Message | None:
-        """None for one's own frames and for anything that is not a frame."""
+        """Return the message in a datagram; None for this bus's own frames and for anything that is not a frame."""
         if len(datagram) < _HEADER.size:
             return None
         magic, sender, timestamp, word, length = _HEADER.unpack_from(datagram)

@@ -7,7 +7,7 @@ import socket
 
 
 class Notifier:
-    """Tells systemd READY, WATCHDOG, STOPPING and STATUS. Silent where no one listens."""
+    """Tells systemd READY, WATCHDOG, STOPPING and STATUS. Silent where nobody listens."""
 
     def __init__(self, environ: dict[str, str] | None = None) -> None:
         env = dict(os.environ) if environ is None else environ

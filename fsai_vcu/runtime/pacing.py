@@ -1,4 +1,4 @@
-"""When to send: an answer to each 0x520, never two sends too close, and a clock of one's own when the car is silent.
+"""Pacing of the sends: an answer to each 0x520, never two sends too close, its own clock when the car is silent.
 
 Pure; times are integer monotonic nanoseconds.
 """

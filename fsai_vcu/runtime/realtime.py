@@ -34,7 +34,7 @@ def go_real_time(priority: int = FIFO_PRIORITY) -> tuple[str, ...]:
 
 
 def _lock_memory() -> str:
-    """Why memory could not be locked; empty when it is."""
+    """Lock the process's memory, and say why it could not be locked; empty when it is."""
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if os.geteuid() != 0 and limit != resource.RLIM_INFINITY:
         # Under a finite limit a later allocation would fail instead of this call.

@@ -34,7 +34,7 @@ class CandumpWriter:
         self.frames = 0
 
     def write(self, frame: Frame, stamp_ns: int | None = None) -> None:
-        """One line; `stamp_ns` is the bus's own wall-clock stamp, where it has one."""
+        """Write one line; `stamp_ns` is the bus's own wall-clock stamp, where it has one."""
         time_ns = frame.t_ns + self._offset_ns if stamp_ns is None else stamp_ns
         self._file.write(candump_line(frame, self._interface, time_ns) + "\n")
         self.frames += 1

@@ -54,13 +54,14 @@ def _check(value: object, depth: int = 0) -> None:
 
 
 class TomlLines:
-    """Where the tables and keys of a valid TOML text stand; lines count from 1.
+    """Lines of the tables and keys of a valid TOML text, counted from 1.
 
-    The text is read statement by statement, so that it takes a time as the text is long. Of a value over many lines
-    the end is looked for less and less often: what follows it may then count as on its first line.
+    The text is read statement by statement, so that reading takes a time as the text is long. For the end of a value
+    over many lines it looks less and less often: what follows may then count as on its first line.
     """
 
     def __init__(self, text: str) -> None:
+        """Find the lines of all tables and keys in `text`."""
         self._lines: dict[tuple[str, ...], int] = {}
         table: tuple[str, ...] = ()
         begun, waiting, tried = 1, list[str](), 0

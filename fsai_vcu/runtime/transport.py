@@ -1,4 +1,4 @@
-"""How the project's ROS 2 processes reach each other: by UDP on the loopback, never by shared memory.
+"""Transport between the project's ROS 2 processes: by UDP on the loopback, never by shared memory.
 
 Fast DDS shares memory between processes unless configured otherwise. A program that joins, hangs or is killed then
 holds up the others inside `publish`, and what it leaves locked in /dev/shm outlives it. UDP has neither. Each process
@@ -69,7 +69,7 @@ def node_ports_taken(domain: int, network: Path = Path("/proc/self/net")) -> boo
 
 
 def ros_trouble(environ: Mapping[str, str]) -> str:
-    """Why ROS 2 would not start in this environment, or on another domain than was meant, in one line; or ''."""
+    """Say in one line why ROS 2 would not start in this environment, or on another domain than was meant; or ''."""
     domain, implementation = environ.get(_DOMAIN, ""), environ.get(_IMPLEMENTATION, "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain[:9]) <= DOMAIN_MAX):
         return f"{_DOMAIN} is '{domain}', not a number from 0 to {DOMAIN_MAX}"

@@ -44,8 +44,10 @@ class Do(Enum):
 
 
 class Send(Value, frozen=True):
-    """Send a cycle's frames, none in a silent one; after one that is not taken the rest would be a mixture of two
-    commands. Then there is time for whatever may take its time.
+    """Send a cycle's frames, none in a silent one.
+
+    After a frame that is not taken the rest would be a mixture of two commands. Then there is time for whatever may
+    take its time.
     """
 
     frames: tuple[Frame, ...]
@@ -63,8 +65,10 @@ Action = Send | Do | Note | Ask | Answer
 
 
 class Turns:
-    """Decides what the loop does in each turn: answers each 0x520, keeps its own clock when there is none, and copes
-    with missed deadlines, a bus that goes and comes, and an edge that asks, is silent or is gone.
+    """Decides what the loop does in each turn.
+
+    It answers each 0x520, keeps its own clock when there is none, and copes with missed deadlines, a bus that goes and
+    comes, and an edge that asks, is silent or is gone.
     """
 
     def __init__(
@@ -102,11 +106,11 @@ class Turns:
 
     @property
     def has_bus(self) -> bool:
-        """Whether the bus is open, as far as the loop knows."""
+        """Return true where the bus is open, as far as the loop knows."""
         return self._open_ns is None
 
     def due_ns(self) -> int:
-        """When `act` next has something to do, if nothing comes: a cycle, or a try to open a lost bus."""
+        """Return when (ns) `act` next has something to do, if nothing comes: a cycle, or a try to open a lost bus."""
         return self._pacing.due_ns() if self._open_ns is None else self._open_ns
 
     # ------------------------------------------------------------ a turn
@@ -117,9 +121,9 @@ class Turns:
             self._judge(self._pacing.due_ns(), now_ns)
 
     def on_frames(self, frames: Sequence[Frame], now_ns: int) -> None:
-        """Everything that waited on the bus at `now_ns`, oldest first: all of it is received before the next answer.
+        """Take in everything that waited on the bus at `now_ns`, oldest first, before the next answer.
 
-        `t_ns` of each is when the kernel received it: what has waited is as old as it is, and a backlog is named.
+        `t_ns` of each frame is when the kernel received it: what has waited is as old as it is, and a backlog is named.
         """
         receive = self._bridge.on_frame
         for frame in frames:
@@ -130,10 +134,10 @@ class Turns:
             self._bridge.backlog(now_ns - frames[0].t_ns, now_ns)
 
     def on_edge(self, messages: Iterable[Message] | None, now_ns: int) -> list[Action]:
-        """What the edge has sent, read by `now_ns`; None once it is gone. Of several commands the newest counts.
+        """Take in what the edge has sent, read by `now_ns`; None once it is gone.
 
-        A silent edge's commands get old, and so do those of one that is gone: the table of reactions stops the car.
-        When that is over there is nothing left to do.
+        The newest of several commands counts. A silent edge's commands get old, and so do those of an edge that is
+        gone: the table of reactions stops the car. When that is over there is nothing left to do.
         """
         actions: list[Action] = []
         if messages is None:
@@ -159,7 +163,7 @@ class Turns:
         return actions
 
     def answer(self, ask: Ask, now_ns: int) -> tuple[Action, ...]:
-        """What is not answered in time is not done later behind the asker's back, unless it is better late."""
+        """Answer the edge: what is late is not done behind the asker's back, unless it is better late."""
         if ask.what == "deactivate":  # answered after the end
             self.stop_number = ask.number
             self._begin_stop(now_ns)
@@ -179,7 +183,7 @@ class Turns:
         return (Answer(ask.number, accepted, shortened(message)),)
 
     def act(self, now_ns: int) -> tuple[Action, ...]:
-        """What is due at `now_ns`: the end, a cycle, or a try to open a lost bus."""
+        """Do what is due at `now_ns`: the end, a cycle, or a try to open a lost bus."""
         has_bus, due_ns = self._open_ns is None, self.due_ns()
         if self._stopping and not has_bus:  # nobody is left to answer
             return Note(logging.INFO, "stopped while the bus was gone"), Do.REPORT, Do.END
@@ -221,7 +225,7 @@ class Turns:
 
     def lost(self, why: str, now_ns: int) -> tuple[Action, ...]:
         """The bus is lost: it is opened again after a pause, and the pauses grow until a cycle has been sent whole."""
-        self._loud = self._pause_ns == REOPEN_FIRST_NS  # one that opens and takes nothing is lost again and again
+        self._loud = self._pause_ns == REOPEN_FIRST_NS  # a bus that opens and takes nothing is lost again and again
         self._wait(now_ns)
         self._bridge.bus_lost(why, now_ns)
         return self._noted(logging.ERROR, f"bus lost: {why}"), Do.CLOSE, *self._report(now_ns, at_once=True)
@@ -254,7 +258,7 @@ class Turns:
         return () if command is None else self._codec.encode_command(command)
 
     def _judge(self, due_ns: int, now_ns: int) -> None:
-        """Whether what was due is so late that the bridge must know; it is told once."""
+        """Judge whether what was due is so late that the bridge must know; it is told once."""
         late_ns = now_ns - due_ns
         if late_ns >= DEADLINE_MISS_NS and not self._missed:
             self._missed = True
@@ -262,7 +266,7 @@ class Turns:
             self._bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
 
     def _drives(self, now_ns: int) -> bool:
-        """Whether the car is in AS_DRIVING, and is received."""
+        """Return true while the car is in AS_DRIVING, and is received."""
         return self._bridge.run.as_state is AsState.AS_DRIVING and not self._bridge.report(now_ns).vcu_lost
 
     def _begin_stop(self, now_ns: int) -> None:

@@ -93,7 +93,7 @@ class Controller:
         self._max_steer_rad = min(self._car.steer_max_rad, settings.max_steer_rad)
 
     def max_speed_mps(self, mission: Ami, mapped: bool = False) -> float:
-        """The most that is driven in a mission, on a path that follows a map or on one that does not."""
+        """The most that is driven in a mission, on a path that follows a map or not."""
         settings = self._settings
         lap = settings.race_max_speed_mps if mapped else settings.lap_max_speed_mps
         own = {
@@ -105,7 +105,7 @@ class Controller:
         return min(settings.max_speed_mps, self._car.speed_max_mps, own.get(mission, math.inf))
 
     def too_slow(self, mission: Ami) -> str | None:
-        """Why a mission that needs a certain speed will not be fulfilled, in one line; None where it can be."""
+        """Say in one line why a mission that needs a certain speed will not be fulfilled; None where it can be."""
         missions = self._missions
         needed = {
             Ami.AUTONOMOUS_DEMO: missions.demo_speed_mps,
@@ -142,6 +142,7 @@ class Controller:
         return self._along_path(plan, motion, vehicle_standing, run, now_ns)
 
     def _without_path(self, view: CarView, run: Run) -> VehicleCommand:
+        """Return the command of a mission without a path: the demo or an inspection."""
         request: MissionRequest
         limit = self.max_speed_mps(run.mission)
         if run.mission is Ami.AUTONOMOUS_DEMO:
@@ -172,6 +173,7 @@ class Controller:
     def _along_path(
         self, plan: Plan | None, motion: Motion, vehicle_standing: bool, run: Run, now_ns: int
     ) -> VehicleCommand:
+        """Return the command of a mission with a path, for the newest plan that there is."""
         if plan is not None:
             self._last_plan = plan
         last = self._last_plan
@@ -264,7 +266,7 @@ class Controller:
         here = line.beside(0.0, 0.0)[0]
         sure = min(1.0, plan.confidence / settings.confidence_sure)
         stops = plan.confidence < settings.confidence_min
-        # Where the car stops it does so with its nose.
+        # The nose of a car that stops must not pass the end of the supported path.
         ahead_m = plan.supported_m - (self._car.nose_ahead_of_rear_axle_m if stops else 0.0)
         end_m = min(float(line.along_m[-1]), here + ahead_m)
         allowed = self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS
@@ -286,11 +288,10 @@ class Controller:
         )
 
     def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
-        """Where (m) the rear axle will be and where it will move to (rad) when the steering answers, in the vehicle
-        frame of `there`, and how far (m) it moves from now until then.
+        """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance until then (m).
 
-        The steering has been told what the car will do until then. Tyres slip, so the axle moves further outward than
-        the car points.
+        All are in the vehicle frame of `there`. The steering has been told what the car will do until then. Tyres slip,
+        so the axle moves further outward than the car points.
         """
         delay_s = self._settings.delay_s + self._settings.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
         t_s = min(now_ns - motion.t_ns, CARRIED_NS) / 1e9 + delay_s
@@ -329,8 +330,7 @@ class Controller:
         self._steering_rad = self._within(road + self._taken_up_rad)
 
     def _accelerate(self, line: Line, here_m: float, speed: float, most: float, now_ns: int) -> tuple[float, float]:
-        """Throttle and brake for the acceleration, `most` (m/s2) at most, that meets the profile a moment ahead, of
-        bounded jerk."""
+        """Return throttle and brake that meet the profile a moment ahead: of bounded jerk, `most` (m/s2) at most."""
         settings = self._settings
         assert self._profile is not None
         later = speed + self._acceleration_mps2 * settings.reaction_s

@@ -20,7 +20,7 @@ BACK_MAX_1PM = 0.12  # … and no more sharply, beside the path's own curvature
 SLOWEST_MPS = 4.0  # a slower car steers as at this speed
 
 HORIZON_STEPS, HORIZON_STEP_S = 20, 0.05
-# What weighs the same: so far beside the path, so fast away from it, and so much jerk across.
+# These weigh the same: so far beside the path, so fast away from it, and so much jerk across.
 DEVIATION_M, DRIFT_MPS, JERK_MPS3 = 0.2, 0.6, 14.0
 
 
@@ -65,10 +65,10 @@ def line_of(path_m: Floats) -> Line | None:
 def steering_rate(
     line: Line, station_m: float, right_m: float, course_rad: float, curvature_1pm: float, speed_mps: float
 ) -> float:
-    """How fast to change the curvature driven with, 1/(m s).
+    """Return the rate, 1/(m s), at which the curvature that the car drives with must change.
 
     The car is at a station, `right_m` beside the line to its right (negative: left of it), moves to `course_rad` (in
-    the line's frame) with `curvature_1pm` and `speed_mps`. Of all changes within the horizon the ones are taken that
+    the line's frame) with `curvature_1pm` and `speed_mps`. Among all changes within the horizon it takes those that
     weigh deviation and effort by their least squares: so the steering begins before a bend by the time it takes.
     """
     speed = max(round(2.0 * speed_mps) / 2.0, SLOWEST_MPS)
@@ -86,8 +86,11 @@ def steering_rate(
 
 @cache
 def _gains(speed_mps: float) -> Floats:
-    """(3 + HORIZON_STEPS,) by which the first change of curvature follows from the deviation to the left (m), the
-    course (rad) and the curvature (1/m) of now, and from the line's curvature (1/m) in each step."""
+    """Return the gains (3 + HORIZON_STEPS,) that make the first change of curvature.
+
+    They weigh the deviation to the left (m), the course (rad) and the curvature (1/m) of now, and the line's curvature
+    (1/m) in each step.
+    """
     sums = np.tri(HORIZON_STEPS)
     ones = np.ones((HORIZON_STEPS, 1))
     none = 0.0 * ones

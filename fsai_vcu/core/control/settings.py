@@ -1,4 +1,4 @@
-"""What can be set about control. SI units."""
+"""Settings of control. SI units."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ControllerSettings(Value, frozen=True):
     delay_s: Annotated[float, within(0.0, 0.5)] = 0.09  # command to wheels: dead time, bus, half a cycle of each
     # Smaller changes to and fro are not asked for.
     steer_play_rad: Annotated[float, within(0.0, 0.05)] = math.radians(0.2)
-    # Of the car's backlash that is steered through on a turn-back.
+    # Share of the car's backlash that is steered through on a turn-back.
     backlash_share: Annotated[float, within(0.0, 1.0)] = 0.8
     slip_radpmps2: Annotated[float, within(0.0, 0.02)] = 0.0075  # slip angle of the rear axle by lateral acceleration
 

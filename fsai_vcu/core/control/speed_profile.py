@@ -1,4 +1,4 @@
-"""How fast each point of a path can be passed, with everything that lies behind it.
+"""Speed at which each point of a path can be passed, with everything that lies behind it.
 
 This is the backward half. What motors and power can gain, the forward half, the controller asks again each cycle from
 the speed that the car really has; planned ahead as well, it cost 0.1 to 0.15 s of each lap of 27 s and changed nothing
@@ -19,7 +19,7 @@ BRAKING_SHARE_MIN = 0.2  # of the braking, that is left in a corner at the limit
 
 
 def braking_share(sideways: float) -> float:
-    """Of the braking, what is left where so much of the lateral grip is used: they share one ellipse."""
+    """Return the share of the braking that is left beside so much of the lateral grip: they share one ellipse."""
     left = 1.0 - sideways * sideways
     return math.sqrt(left) if left > BRAKING_SHARE_MIN**2 else BRAKING_SHARE_MIN
 

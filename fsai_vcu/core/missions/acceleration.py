@@ -34,7 +34,7 @@ class StraightLane(Value, frozen=True, eq=False):
     found: bool = False
 
     def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """As `registration.Borders`."""
+        """Distance to the lane's borders, as `registration.Borders`."""
         return np.abs(y) - self.half_width_m, np.zeros_like(x), np.where(y < 0.0, -1.0, 1.0)
 
     def off(self, xy_m: Floats) -> Floats:
@@ -70,7 +70,7 @@ def follow_lane(lane: StraightLane, motion: Motion, xy_m: Floats) -> StraightLan
 
 
 def _searched(lane: StraightLane, pose: Floats, xy_m: Floats) -> tuple[float, Floats, StraightLane]:
-    """How badly the best place fits to a lane of this width, and the place."""
+    """Return how badly the best place fits to a lane of this width, that place, and the lane."""
     poses = fitted(lane.borders, pose + SEARCH, xy_m, SEARCH_SIGMA, 1.5 * GATE_M)
     costs = misfit(lane.borders, poses, xy_m) + (poses - pose) ** 2 @ NEARER
     best = int(costs.argmin())
@@ -78,7 +78,10 @@ def _searched(lane: StraightLane, pose: Floats, xy_m: Floats) -> tuple[float, Fl
 
 
 def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
-    """Where along the lane the finish is, seen these big orange cones (lane frame): between those on both sides."""
+    """Return where along the lane (m) the finish is: amid big orange cones (lane frame) that stand on both sides.
+
+    Without such cones it stays at `finish_m`.
+    """
     of_finish = np.abs(big_orange_m - (finish_m, 0.0)) < (FINISH_GATE_M, GATE_WIDEST_M)
     gate = big_orange_m[of_finish.all(axis=1)]
     both_sides = (gate[:, 1] > 0.0).any() and (gate[:, 1] < 0.0).any()
@@ -86,6 +89,9 @@ def finish_seen(finish_m: float, big_orange_m: Floats) -> float:
 
 
 def closed_at(after_m: float, cones_m: Floats) -> float | None:
-    """Where along the lane cones (lane frame) close it further on, or None: there is an end to every exit lane."""
+    """Return where beyond `after_m` (m along the lane) cones (lane frame) close it; None where none do.
+
+    There is an end to every exit lane.
+    """
     wall = cones_m[(np.abs(cones_m[:, 1]) < IN_THE_WAY_M) & (cones_m[:, 0] > after_m), 0]
     return float(wall.min()) if len(wall) else None

@@ -26,7 +26,7 @@ ORIGIN = Motion()
 
 
 class DemoPhase(Enum):
-    """Where the demo is, in their order."""
+    """Phases of the demo, in their order."""
 
     SWEEP = "sweep"
     ACCELERATE = "accelerate"
@@ -40,6 +40,8 @@ NEXT = dict(pairwise(DemoPhase))
 
 
 class DemoState(Value, frozen=True):
+    """State of the demo: its phase, and what that phase began with."""
+
     phase: DemoPhase = DemoPhase.SWEEP
     since_ns: int = 0
     distance_m: float = 0.0  # driven when the phase began

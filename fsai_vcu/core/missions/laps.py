@@ -138,9 +138,9 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
 
 
 class Circling:
-    """Whether the car drives a way again that it has driven since it last passed the line: no course has such a way.
+    """Detector of a car that repeats a way driven since it last passed the line: no course has such a way.
 
-    Where the lane was lost, a way round a hairpin's inside or round an island of cones may look like one for ever.
+    Where the lane was lost, a way round a hairpin's inside or round an island of cones may look like a lane for ever.
     """
 
     def __init__(self) -> None:
@@ -168,7 +168,7 @@ class Circling:
         return found[-1] if found and self._again_m > GATE_SHIFT_M + DRIFT_MAX * found[-1] else None
 
     def driven(self, motion: Motion, within_m: float, lately_m: float) -> list[tuple[float, float]]:
-        """Places (odometry frame) within reach of the car that its way on does not come to: it has just been there.
+        """Places (odometry frame) within reach of the car at which its way on does not arrive: it has just been there.
 
         `lately_m`: of way, for which odometry holds. Not the way of this moment, nor that behind the line, where the
         lap ends; none where the car drives its way again.
@@ -187,7 +187,7 @@ class Circling:
 
 
 class LapCounter:
-    """Laps for a planner of one's own: made again for each run, with the car where odometry begins: its staging place.
+    """Laps for another planner: made again for each run, with the car where odometry begins: its staging place.
 
     It knows the line by odometry alone, and lays it again at each passage: a lap's drift counts, not the run's.
     """

@@ -1,4 +1,4 @@
-"""Where the car is on a course of known shape: the pose from which the cones seen stand on the course's borders.
+"""Pose of the car on a course of known shape: the pose from which the cones seen stand on the course's borders.
 
 One least-squares fit serves the search (many guesses, each free to move far) and tracking (one guess, by dead
 reckoning, which may be off a little). Where along its border a cone stands does not matter, nor does its colour, so

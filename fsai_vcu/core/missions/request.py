@@ -1,4 +1,4 @@
-"""What a mission without a path sees of the car, and what it asks for."""
+"""View of the car that a mission without a path has, and its request."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from fsai_vcu.interface.values import Value
 
 
 class CarView(Value, frozen=True):
-    """What such a mission goes by. wheel_rpm: FL, FR, RL, RR; steer_rad: measured; standing: all wheels at rest."""
+    """View of the car for a mission without a path. wheel_rpm: FL, FR, RL, RR; steer_rad: measured; standing: all
+    wheels at rest.
+    """
 
     now_ns: int
     motion: Motion
@@ -17,7 +19,7 @@ class CarView(Value, frozen=True):
 
 
 class MissionRequest(Value, frozen=True):
-    """What it asks for, as in `VehicleCommand`. The default is at rest."""
+    """Request of a mission without a path, in the terms of `VehicleCommand`. The default is at rest."""
 
     steering_rad: float = 0.0
     throttle: float = 0.0

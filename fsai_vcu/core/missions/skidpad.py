@@ -18,7 +18,7 @@ from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.interface.values import Value
 
-# Where the car may be on the way in when the circles are searched for; y and yaw from where it should be.
+# Places that the car may have on the way in when the circles are searched for; y and yaw from its due place.
 SEARCH_X_M = np.arange(-30.0, -1.9, 0.8)
 SEARCH_ASIDE = np.array(
     [(y, yaw) for y in np.arange(-3.0, 3.1, 1.0) for yaw in np.radians(np.arange(-15.0, 16.0, 5.0))]
@@ -54,7 +54,7 @@ class SkidpadCourse(Value, frozen=True):
         return self.laps * self.lap_m
 
     def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """As `registration.Borders`: the two circles on the point's own side, or the lane in and out."""
+        """Distance to the borders, as `registration.Borders`:"""
         left = np.abs(y)
         out = left - self.radius_m
         reach = np.maximum(np.sqrt(x * x + out * out), 1e-6)

@@ -27,7 +27,7 @@ REST_BRAKE = 0.3
 
 
 class InspectionPhase(Enum):
-    """Where an inspection is."""
+    """Phase of an inspection."""
 
     SWEEP = "sweep"
     SPIN_UP = "spin up"
@@ -45,6 +45,8 @@ class Inspection(Value, frozen=True):
 
 
 class InspectionState(Value, frozen=True):
+    """State of an inspection: the phase under way (`index`), since when, and the speed control's integral."""
+
     index: int = 0
     since_ns: int | None = None  # when the phase began
     t_ns: int | None = None

@@ -1,4 +1,4 @@
-"""Acceleration: a straight line between the cones."""
+"""Strategy for acceleration: a straight line between the cones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ACCELERATION_BRAKING_MPS2 = 4.5
 
 
 class AccelerationStrategy:
-    """Straight on to the finish."""
+    """Strategy that drives straight on to the finish."""
 
     BLIND_MAX_M = 15.0  # to be driven from the staging place without having found the lane
     HORIZON_M = 60.0  # long enough for the highest speed to brake in
@@ -35,6 +35,7 @@ class AccelerationStrategy:
         self._sight, self._fit = Sight(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """Return the way along the lane, to the stop behind the finish."""
         cones = memory.around(motion)
         lost = self._sight.lost(seen_xy_m, motion)
         self._lane = lane = follow_lane(self._lane, motion, cones.xy_m)

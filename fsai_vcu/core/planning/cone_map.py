@@ -22,7 +22,7 @@ from fsai_vcu.core.planning.settings import PlannerSettings
 Bools = NDArray[np.bool_]
 
 NEAR_M = 25.0  # cones further from the car cannot be seen
-RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not one that is in sight now
+RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not in sight now
 LATELY_M = 54.0  # of way: cones seen for the first time in it tell where in the map the car is
 VIEW_M = 14.0  # cones come into view about this far ahead
 BELIEVED_HITS = 3.0
@@ -84,7 +84,10 @@ class ConeMap:
 
     @property
     def _established(self) -> Bools:
-        """Which cones tell where the car is: one that begins to be lost puts new ones where it thinks to see them."""
+        """Select the cones that tell where the car is.
+
+        A car that begins to be lost puts new cones where it thinks to see them.
+        """
         return self._believed & (self._cones["first_m"] < self.here.distance_m - RECENT_M)
 
     def take(self) -> Floats:
@@ -155,7 +158,7 @@ class ConeMap:
         return True
 
     def _of_this_part(self, xy_m: Floats, here: Motion) -> Bools:
-        """Which places (map frame) are beside the part of the lap that the car is in.
+        """Select the places (map frame) beside the part of the lap that the car is in.
 
         Another part may pass nearby; how the two lie to each other is known only within what odometry drifts between.
         """
@@ -169,7 +172,7 @@ class ConeMap:
         """The car in the map frame by its last place there and odometry since."""
         last, here = self._odometry, self.here
         self._odometry = motion
-        # As to_vehicle and to_odometry have it; for one point these take ten times as long.
+        # The same as to_vehicle and to_odometry; for one point these take ten times as long.
         cos, sin = math.cos(last.yaw_rad), math.sin(last.yaw_rad)
         dx, dy = motion.x_m - last.x_m, motion.y_m - last.y_m
         ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
@@ -179,6 +182,7 @@ class ConeMap:
         return replace(motion, x_m=x, y_m=y, yaw_rad=yaw)
 
     def _take_in(self, seen_xy_m: Floats, near: Ints) -> None:
+        """Take the cones seen into the map: average those that are known, add those that are new."""
         settings, here, cones = self._settings, self.here, self._cones
         at = to_odometry(here, seen_xy_m)
         found = np.zeros(len(cones), dtype=bool)
@@ -285,7 +289,7 @@ def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats
     if len(seen_xy_m) < SEARCH_CONES or not len(fixed_xy_m):
         return None
     fixed = fixed_xy_m @ (1.0, 1j)
-    # Where it may be further off, the cones next to the car must do for the first look.
+    # For a pose that may be further off, the cones next to the car must do at the first look.
     wide = doubt_m > LOST_M
     steps = np.arange(-doubt_m, doubt_m + 0.1, SEARCH_STEP_M) if wide else SEARCH_M
     first = seen_xy_m[_lengths(seen_xy_m).argsort()[:SEARCH_SEEN]] if wide else seen_xy_m
@@ -313,7 +317,7 @@ def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats
 
 
 def fit_of(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> float:
-    """How well the cones seen from `here` agree with the known ones: 1 all and exactly, 0 none (or none seen)."""
+    """Return how well the cones seen from `here` fit the known ones: 1 all and exactly, 0 none (or none seen)."""
     if not len(seen_xy_m) or not len(fixed_xy_m):
         return 0.0
     gap = gaps(to_odometry(here, seen_xy_m), fixed_xy_m).min(axis=1)

@@ -157,7 +157,7 @@ class ConeMemory:
         colored, rows = SIDES.take(color), rows_of(here)
         by_color = by_chain(colored, rows)
         lane = known["side"][index]
-        # Where the cone stood beside the lane, look after look, outvotes a colour that contradicts it.
+        # A cone's side of the lane, look after look, outvotes a colour that contradicts it.
         contrary = within(by_color + lane / OUTVOTES, 1.0)
         by_lane = within(lane / 4.0, 0.6)
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
@@ -165,7 +165,7 @@ class ConeMemory:
         return Cones(here, color.astype(np.int64), side, index)
 
     def sure(self, index: Ints) -> Bools:
-        """Which of these cones the looks at their place find mostly: two false ones may have stood at one place."""
+        """Select those of these cones that most looks at their place find: two false ones may have been there."""
         hits, misses = self._cones["hits"][index], self._cones["misses"][index]
         return np.asarray((hits > self._settings.hits_to_believe) & (hits > 2.0 * misses))
 
@@ -176,8 +176,10 @@ class ConeMemory:
 
 
 def matched(at: Floats, known: Floats) -> tuple[Ints, Floats, Bools]:
-    """(N,) for each place (N, 2) the nearest of the known ones (M, 2), how far it is, and whether no other place is
-    nearer to it."""
+    """Return for each place (N, 2) the nearest of the known ones (M, 2), its distance, and whether it is nobody else's.
+
+    Each is (N,); the last is true where no other place is nearer to the known one.
+    """
     gap = gaps(at, known)
     nearest = gap.argmin(axis=1)
     return nearest, np.minimum.reduce(gap, axis=1), gap.argmin(axis=0).take(nearest) == np.arange(len(at))
@@ -199,7 +201,7 @@ def in_view(reach: Floats, angle: Floats, settings: PlannerSettings) -> Bools:
 
 
 class Rows(Value, frozen=True):
-    """Which of N cones stand near enough to each other to be one border's, and which in a row. The last is no cone.
+    """Neighbours among N cones: near enough to each other to be one border's, and in a row. The last is no cone.
 
     whom: (N + 1, K) each cone's neighbours, N where there is none; beyond: (N + 1, K, K) whether a neighbour's own
     neighbour stands in line behind it; between: (N + 1, K, K) whether the cone itself stands in line between two.
@@ -233,10 +235,10 @@ def rows_of(xy_m: Floats) -> Rows:
 
 
 def by_chain(side: Floats, rows: Rows) -> Floats:
-    """The sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those that stand in a border of the other
-    colour, also at its end as far as it is seen: there the lane says it.
+    """Return the sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those in a border of the other colour.
 
-    Such a cone is in line with two of the other colour, one after the other, and neither with two of its own nor
+    A border also counts at its end as far as it is seen: there the lane says it. A cone is in a border of the other
+    colour that is in line with two of the other colour, one after the other, and neither with two of its own nor
     between two of its own.
     """
     if not np.count_nonzero(side):
@@ -259,11 +261,10 @@ def by_chain(side: Floats, rows: Rows) -> Floats:
 
 
 def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:
-    """The sides of cones, where those without a colour, and not yet beside the lane, are expected to carry on the
-    border whose last two cones they are in line with.
+    """Return the sides of cones; those without a colour carry on the border whose last two cones they are in line with.
 
-    Not where the other border ends nearby as well and nothing is in line with it: in a sharp bend the outer border
-    stands straight on from the inner one's end.
+    Those beside the lane already do not. Nor do they where the other border ends nearby as well and nothing is in line
+    with it: in a sharp bend the outer border stands straight on from the inner one's end.
     """
     sure = np.abs(side) > SURE_SIDE
     if not np.count_nonzero(colourless & ~sure):

@@ -1,4 +1,4 @@
-"""What a strategy hands to the planner: the way on, as one family of missions finds it."""
+"""Course that a strategy hands to the planner: the way on, as one family of missions finds it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Course(Value, frozen=True):
 
 
 class Strategy(Protocol):
-    """How a family of missions finds its way."""
+    """Strategy by which a family of missions finds its way."""
 
     def anchor(self, motion: Motion) -> None:
         """The car stands at its staging place, at `motion`."""
@@ -60,7 +60,7 @@ class Strategy(Protocol):
 
 
 class Sight:
-    """How far the car has driven since cones were seen."""
+    """Distance that the car has driven since cones were seen."""
 
     def __init__(self, motion: Motion) -> None:
         self._seen_at_m = motion.distance_m

@@ -1,4 +1,4 @@
-"""From cones around the car to the middle of the lane, with colours or without.
+"""Lane finder: from cones around the car to the middle of the lane, with colours or without.
 
 First a beam search tries chains of short arcs forward, from the car, or from as far ahead as the cones bear out the
 middle that the last look found. A chain is good when cones stand to its left and
@@ -70,11 +70,12 @@ class Lane(Value, frozen=True):
 
 
 class Known(Value, frozen=True):
-    """What is known before a look.
+    """Facts that are known before a look.
 
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
     stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
-    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been."""
+    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been.
+    """
 
     curvature_1pm: float
     half_width_m: float
@@ -129,7 +130,7 @@ def _beside_car(line: Floats) -> int:
 def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) -> tuple[Floats, _Begin | None]:
     """The part of an earlier middle, from behind the car on, that the cones agree with, and the search from its end.
 
-    They do up to the first one that stands in the way, or on the other side than it should, and as far as both borders
+    They do up to the first cone that stands in the way, or on the other side than it should, and as far as both borders
     go on without a gap.
     """
     if before is None or len(before) < 3:
@@ -165,13 +166,15 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
 
 
 def _first_gap_m(along: Floats, settings: PlannerSettings) -> float:
-    """How far ahead the first cones may be, of borders with cones at these places along the car's way, from BACKWARD_M
-    behind the car on."""
+    """Return how far ahead (m) the first cones of borders may be that have cones at these places along the car's way.
+
+    The places begin BACKWARD_M behind the car.
+    """
     return settings.border_gap_max_m if np.count_nonzero(along <= 0.0) else max(FIRST_GAP_M, settings.border_gap_max_m)
 
 
 def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
-    """How far ahead of the car a border's cones, at these places along it, go on without too long a gap.
+    """Return how far ahead of the car (m) a border's cones, at these places along it, go on without too long a gap.
 
     `gap_m`: to the first of them.
     """
@@ -200,7 +203,7 @@ def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
 
 
 class _Begin(Value, frozen=True):
-    """Where the search begins."""
+    """Place where the search begins."""
 
     counted: Bools  # (N,) the cones beside the way up to there
     x_m: float = 0.0
@@ -232,6 +235,7 @@ NEAREST_M = 0.4  # to a pose that a border's cone stands
 
 @cache
 def _fan(settings: PlannerSettings) -> _Fan:
+    """Return the arcs of the search, for steps and curvatures by the settings."""
     step, tightest = settings.step_m, settings.curvature_max_1pm
     bends = np.array([-1.0, -0.75, -0.47, -0.26, -0.11, 0.0, 0.11, 0.26, 0.47, 0.75, 1.0]) * tightest
     jerk = np.abs(bends[None, :] - bends[:, None]) / tightest
@@ -256,8 +260,9 @@ def _fan(settings: PlannerSettings) -> _Fan:
 def _search(
     xy: Floats, side: Floats, begin: _Begin, counted: Bools, known: Known, settings: PlannerSettings
 ) -> tuple[Floats, float]:
-    """The best chain of arcs from where it begins, as (M, 2) points every quarter of a step; and by how much the best
-    chain that leads elsewhere costs more.
+    """Return the best chain of arcs from `begin` on, and by how much the best chain that leads elsewhere costs more.
+
+    The chain is (M, 2) points every quarter of a step.
 
     The arrays are small (a dozen cones, 28 poses, 11 arcs each), so the number of numpy's calls and of its inner loops
     counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
@@ -366,7 +371,7 @@ def _search(
 
 
 def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
-    """How much more than the best chain the best one costs that is elsewhere after so many arcs.
+    """Return how much more than the best chain the best chain costs that is elsewhere after so many arcs.
 
     poses: at the chains' ends, the best first.
     """
@@ -404,10 +409,10 @@ def _first_of_each(cells: list[int], places: list[int], most: int) -> Ints:
 
 
 def _to_middle(seen: Floats, bend: Floats, nearest: Floats) -> Floats:
-    """(P,) how far to the left of each pose, which turns with `bend`, the middle between its nearest cones left and
-    right is; 0 where there are not both.
+    """Return (P,) how far to the left of each pose the middle between its nearest cones is; 0 without both.
 
-    seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) how near each may be, to the left, to the right.
+    Each pose turns with `bend`. seen: (3, N, P) the cones as the poses see them; nearest: (2 N,) how near each may be,
+    to the left, to the right.
     """
     n_cones, n_poses = seen.shape[1:]
     place = (np.abs(seen[0]) < 3.0).ravel().nonzero()[0]
@@ -452,7 +457,7 @@ def _bell(settings: PlannerSettings) -> tuple[Floats, Ints]:
 
 
 def _smoothed(line: Floats, settings: PlannerSettings) -> Floats:
-    """Averaged with a bell of `smoothing_m`, ends carried on straight."""
+    """Return the line averaged with a bell of `smoothing_m`, ends carried on straight."""
     bell, steps = _bell(settings)
     before = line[0] - steps * (line[1] - line[0])
     after = line[-1] + steps[::-1] * (line[-1] - line[-2])
@@ -480,7 +485,7 @@ def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
 
 
 def _moved_left(line: Floats, by_m: Floats, cos: Floats, sin: Floats) -> Floats:
-    """Each point moved sideways to the direction in which the line runs there."""
+    """Return the line with each point moved sideways to the direction in which the line runs there."""
     moved = np.empty_like(line)
     moved[:, 0], moved[:, 1] = line[:, 0] - by_m * sin, line[:, 1] + by_m * cos
     return moved
@@ -503,7 +508,7 @@ def _centred(
     usable = (off < 1.0) & (size > 0.6) & (size < OUTSIDE_M + 0.5)
     stands = np.where(usable, sides, 0.0)
     sides = np.where(cones.side * sides > -0.5, stands, 0.0)
-    # Of cones of one side beside each other only the nearer one is the border.
+    # Where cones of one side stand beside each other, only the nearer one is the border.
     close = np.abs(along[:, None] - along) < 3.0
     if not np.count_nonzero(sides != stands):
         sides = stands
@@ -539,7 +544,7 @@ def _centred(
 
 
 def _median(values: list[float]) -> float:
-    """Of at least one value. (A tenth of the time of numpy's for a few dozen.)"""
+    """Return the median of at least one value. (A tenth of the time of numpy's for a few dozen.)"""
     ordered, middle = sorted(values), len(values) // 2
     return ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2.0
 
@@ -551,8 +556,10 @@ def _border(
     mine: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     settings: PlannerSettings,
 ) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
-    """A border's lateral position at each station, and where it is known: between cones not too far apart, and a
-    little beyond the first and last one."""
+    """Return a border's lateral position at each station, and where it is known.
+
+    It is known between cones not too far apart, and a little beyond the first and last one.
+    """
     places = mine.nonzero()[0]
     if not len(places):
         return np.zeros(len(stations)), np.zeros(len(stations), dtype=bool)

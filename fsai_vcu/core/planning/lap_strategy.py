@@ -44,6 +44,7 @@ class LapStrategy:
         self.anchor(Motion())
 
     def anchor(self, motion: Motion) -> None:
+        """Begin the run, with the car staged at `motion`."""
         self._state = staged(motion, self._line_ahead_m)
         self._half_width_m = self._settings.lane_half_width_min_m
         self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
@@ -61,6 +62,7 @@ class LapStrategy:
         self._stop_m = self._missions.lap_stop_m
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """Return the way on: along the race line where the map bears it out, else in the lane that the cones make."""
         cones = memory.around(motion)
         racing = self._racing
         here, path, doubt = motion, NO_PATH, ""
@@ -131,7 +133,7 @@ class LapStrategy:
         return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note)
 
     def _kept_path(self, motion: Motion) -> Floats:
-        """What is left of the last path, if it is not too old."""
+        """Return what is left of the last path, if it is not too old."""
         if not len(self._kept) or motion.t_ns - self._kept_at.t_ns > self._settings.keep_path_ns:
             return NO_PATH
         path = to_vehicle(motion, to_odometry(self._kept_at, self._kept))
@@ -139,9 +141,10 @@ class LapStrategy:
         return ahead if len(ahead) >= 5 else NO_PATH
 
     def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
+        """Correct the line by the gate, or by the map, and count the passages of it."""
         gate = cones.xy_m[cones.color == BIG]
         if self._racing is not None and self._racing.located:
-            # Where the car is in the map says it better than the gate.
+            # The car's place in the map tells it better than the gate.
             self._state = replace(self._state, line=replace(self._state.line, at_distance_m=motion.distance_m))
         elif len(gate) >= 2 and len(path) >= 3:
             middle = _gate_across(gate, path, self._half_width_m)

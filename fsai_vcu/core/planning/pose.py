@@ -70,7 +70,7 @@ def ring_curvature(line_m: Floats, over: int = 1) -> Floats:
 
 def headings_along(path_m: Floats) -> tuple[Floats, Floats]:
     """(N,) cosine and sine of the path's direction at each point. At least two points."""
-    # As numpy's gradient has it, without the five sixths of the time in which that looks at its arguments.
+    # The same as numpy's gradient, without the five sixths of the time in which that looks at its arguments.
     along = np.empty((2, len(path_m)))
     along[:, 1:-1] = (path_m[2:] - path_m[:-2]).T / 2.0
     along[:, 0], along[:, -1] = path_m[1] - path_m[0], path_m[-1] - path_m[-2]
@@ -79,7 +79,7 @@ def headings_along(path_m: Floats) -> tuple[Floats, Floats]:
 
 
 def within(value: Floats, most: float) -> Floats:
-    """Each value, but none beyond `most` to either side. (A third of the time of numpy's clip.)"""
+    """Return each value, but none beyond `most` to either side. (A third of the time of numpy's clip.)"""
     return np.minimum(np.maximum(value, -most), most)
 
 

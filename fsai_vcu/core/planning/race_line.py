@@ -25,7 +25,7 @@ MARGIN_M = 0.3  # between body and cones
 CONE_RADIUS_M = 0.14
 NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less is the doubt of two places compared
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
-BESIDE_M, BEYOND_M = 4.0, 1.0  # of cones so near to each other, one that stands so much further out is no border
+BESIDE_M, BEYOND_M = 4.0, 1.0  # among cones so near to each other, a cone so much further out is no border
 NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
 ROUNDS, STEPS = 4, 15
 SHARE = 4000  # points of the line times steps at once: about a millisecond
@@ -47,7 +47,7 @@ class RaceLine(Value, frozen=True, eq=False):
     cones_xy_m: Floats  # between which it was laid
 
     def news(self, xy_m: Floats) -> Bools:
-        """Which of these cones (map frame) stand where the line was laid without them."""
+        """Select those of these cones (map frame) that stand where the line was laid without them."""
         dx, dy = xy_m[:, None, 0] - self.cones_xy_m[:, 0], xy_m[:, None, 1] - self.cones_xy_m[:, 1]
         return np.asarray((dx * dx + dy * dy).min(axis=1) > NEWS_M**2)
 
@@ -104,7 +104,7 @@ class LineSearch:
 
 
 def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:
-    """Whether the car's body passes each of these cones (frame of the path) by its own `beside_m` at least."""
+    """Return true where the car's body passes each cone (frame of the path) by that cone's `beside_m` at least."""
     cos, sin = headings_along(path_m)
     dx = cones_xy_m[:, None, 0] - path_m[:, 0]
     dy = cones_xy_m[:, None, 1] - path_m[:, 1]
@@ -117,6 +117,7 @@ class _Problem:
     """Displacements to the left, within `low` and `high`, of least sum of squared curvatures of the moved line."""
 
     def __init__(self, line: Floats, cos: Floats, sin: Floats, low: Floats, high: Floats) -> None:
+        """Set up the problem for the closed `line` (N, 2) with its direction, and with bounds (N,) to either side."""
         normal = np.column_stack((-sin, cos))
         self._line, self._normal = line, normal
         # Curvature times step squared: before * at[i-1] - 2 at[i] + after * at[i+1] + own

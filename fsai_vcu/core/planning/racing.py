@@ -59,7 +59,7 @@ class Racing:
 
     @property
     def confidence(self) -> float:
-        """How far the cones seen lately confirm the map, 0…1."""
+        """Degree to which the cones seen lately confirm the map, 0…1."""
         return self._map.fit
 
     def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:

@@ -1,4 +1,4 @@
-"""What can be set about planning. Lengths in metres, angles in radians, times in ns."""
+"""Settings of planning. Lengths in metres, angles in radians, times in ns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skidpad: a figure of eight known by the rules, found in the cones; until then along the lane in."""
+"""Strategy for the skidpad: a figure of eight known by the rules, found in the cones; until then along the lane in."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 
 class SkidpadStrategy:
-    """Along the figure of eight, found and corrected by what is seen."""
+    """Strategy that drives along the figure of eight, found and corrected by what is seen."""
 
     HORIZON_M = 20.0
     SEARCHED_UNTIL_M = -8.0  # before the crossing, from where on the place found is only tracked
@@ -43,6 +43,7 @@ class SkidpadStrategy:
         self._sight, self._fit = Sight(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """Return the way along the figure of eight from where the cones show the car to be."""
         course = self._course
         self._state = state = advance_skidpad(course, self._state, motion, seen_xy_m)
         if state.progress_m < self.SEARCHED_UNTIL_M:

@@ -1,6 +1,6 @@
-"""What 0x520 must not change while the car drives, though FAULT_STATUS stays 0.
+"""Changes that 0x520 must not show while the car drives, though FAULT_STATUS stays 0.
 
-Edges only: what this VCU never sets, or what was so before AS_DRIVING, says nothing.
+Only edges count: what this VCU never sets, or what was so before AS_DRIVING, says nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _STATES = (
     ("TS_STATE", "ts_state", TsState.TS_FAULT),
     ("OP_STATE", "op_state", OpState.OP_FAULT),
 )
-"""Of 0x520 (2026). A value that no table knows is decoded as the fault."""
+"""States in 0x520 (2026), each with its fault. A value that no table knows is decoded as the fault."""
 
 
 def changes(before: VcuStatus, now: VcuStatus) -> list[tuple[Reason, str]]:

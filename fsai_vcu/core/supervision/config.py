@@ -13,9 +13,9 @@ from fsai_vcu.interface.values import Value
 
 
 class BridgeConfig(Value, frozen=True):
-    """How the AI side of one car behaves. A timer has run out *at* its value: T - 1 ns is still in time."""
+    """Behaviour of the AI side of one car. A timer has run out *at* its value: T - 1 ns is still in time."""
 
-    # Who may do what
+    # Permissions
     autonomous_at_power_up: bool = False  # enter autonomous by itself: no link to the car is allowed in staging
     listen_only: bool = False  # never send: sending energises the tractive system and arms the EBS
     service_brake: Literal["hydraulic", "motor"] = "hydraulic"  # motor: never a hydraulic request (see below)
@@ -44,7 +44,7 @@ class BridgeConfig(Value, frozen=True):
     stop_brake_pct: float = 80.0  # from the car's top speed to rest in under 3 s
     holding_brake_pct: float = 30.0
 
-    # What the car says
+    # Messages of the car
     vcu_stale_ns: int = 50 * MS
     vcu_lost_ns: int = COMMS_LOST_NS
     as_state_known_ns: int = 100 * MS  # so long known again before torque returns: a state that flickers gives none

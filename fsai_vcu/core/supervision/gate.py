@@ -90,7 +90,7 @@ def gate_config(
 
 
 class GateState(Value, frozen=True):
-    """What the gate remembers between cycles."""
+    """Memory of the gate between cycles."""
 
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
     brake: float = 0.0  # fraction last asked for, for when it must be kept
@@ -105,7 +105,7 @@ class GateState(Value, frozen=True):
     tried_brake: bool = False
     awaiting: bool = False  # a cycle was made and it is not reported yet whether it went out
 
-    # What else it has seen for itself
+    # Other things that the gate has seen for itself
     tried_selected: bool = False  # the cycle that is out now says SELECTED
     acknowledged_run_id: int | None = None  # the last run for which such a cycle went out whole
     pulses: Pulses = NO_PULSES
@@ -131,7 +131,7 @@ def constant_power_nm(fastest_rpm: int) -> float:
 
 
 def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
-    """The cycle made last went out: whole or not. One that did not go out whole may have left anything it asked for."""
+    """Take in whether the cycle made last went out whole; if not, it may have left anything it asked for."""
     if not state.awaiting:
         return state
     torque, brake = state.tried_torque, state.tried_brake
@@ -157,7 +157,7 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
 
 
 class Cycle(Value, frozen=True):
-    """What every step looks at. `command` is None unless it may be turned into values."""
+    """Facts of one cycle that every step looks at. `command` is None unless it may be turned into values."""
 
     config: GateConfig
     state: GateState
@@ -195,7 +195,7 @@ def gate(
     now_ns: int,
     speed_mps: float = 0.0,
 ) -> tuple[GateState, AiCommand, frozenset[Reason]]:
-    """What goes on the wire in this cycle. `speed_mps` is for the logging field only."""
+    """Turn decision and command into what goes on the wire in this cycle. `speed_mps` is for the logging field only."""
     state = sent(state, False, now_ns)  # the cycle before, if it was not reported sent, counts as broken
     if not _obeys(config, decision, command, now_ns):
         command = None
@@ -222,7 +222,7 @@ def gate(
 
 
 def _obeys(config: GateConfig, decision: Decision, command: VehicleCommand | None, now_ns: int) -> bool:
-    """Whether there is a command of this run that may be turned into values."""
+    """Return true where there is a command of this run that may be turned into values."""
     return (
         command is not None
         and command.run_id == decision.run_id
@@ -252,7 +252,7 @@ def _log(state: GateState, decision: Decision, command: VehicleCommand | None) -
 
 
 def _wish(cycle: Cycle) -> Request:
-    """What decision and command ask for. A brake wins over the throttle."""
+    """Return what decision and command ask for. A brake wins over the throttle."""
     config, decision, command = cycle.config, cycle.decision, cycle.command
     brake = _brake(cycle)
     throttle, rpm = 0.0, 0
@@ -317,7 +317,7 @@ def _steering(cycle: Cycle, request: Request) -> Request:
     step_ns = 0 if state.cycle_ns is None else max(0, min(cycle.now_ns - state.cycle_ns, _LONGEST_STEP_NS))
     most_deg = config.steer_rate_degps * step_ns / 1e9
     turned_deg = max(state.steer_deg - most_deg, min(state.steer_deg + most_deg, wanted_deg))
-    # The limit after the rate: one that the car lowers is obeyed at once, however far that is.
+    # The limit comes after the rate: a limit that the car lowers is obeyed at once, however far that is.
     return replace(request, steer_deg=max(-limit_deg, min(limit_deg, turned_deg)), reasons=reasons)
 
 
@@ -337,7 +337,7 @@ def _permission(cycle: Cycle, request: Request) -> Request:
 
 
 def _motors_allowed(cycle: Cycle, request: Request) -> bool:
-    """Whether the motors may be asked for torque, be it to drive or to brake."""
+    """Return true where the motors may be asked for torque, to drive or to brake."""
     status = cycle.vehicle.status
     fresh = status is not None and cycle.now_ns - status.t_rx_ns < cycle.config.bridge.vcu_stale_ns
     return (
@@ -350,7 +350,7 @@ def _motors_allowed(cycle: Cycle, request: Request) -> bool:
 
 
 def _actuators(cycle: Cycle, request: Request) -> Request:
-    """Which actuator brakes."""
+    """Choose the actuator that brakes."""
     if request.brake <= 0.0:
         return request
     if cycle.config.bridge.motor_brakes:

@@ -1,4 +1,4 @@
-"""Does the car do what it was asked, and do its wheels agree with one another?
+"""Checks that the car does what it was asked, and that its wheels agree with one another.
 
 Pure: each check is a state and a step, called once a cycle. Neither decides anything: they say since when something
 has been implausible, and the supervisor's table says what follows after how long.
@@ -43,7 +43,7 @@ def check_steering(
     measured: VcuSteer | None,
     now_ns: int,
 ) -> SteeringCheck:
-    """One cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin again instead."""
+    """Check one cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin again."""
     if measured is None or now_ns - measured.t_rx_ns >= config.feedback_stale_ns:
         # Nothing to compare with (the supervisor names that); the model goes on from the next measurement.
         return SteeringCheck(pending=check.pending[-1:], target_deg=check.target_deg)
@@ -78,7 +78,7 @@ def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
 
 
 class WheelCheck(Value, frozen=True):
-    """Since when one wheel has not fitted the others, and until when slip explains what."""
+    """State of the wheels' check: since when one has not fitted the others, and until when slip explains what."""
 
     implausible_since_ns: int | None = None
     detail: str = ""
@@ -89,7 +89,7 @@ class WheelCheck(Value, frozen=True):
 
 
 def wheel_factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:
-    """How fast each wheel rolls on its own circle, against the rear axle's centre (FL, FR, RL, RR)."""
+    """Return how fast each wheel rolls on its own circle, relative to the rear axle's centre (FL, FR, RL, RR)."""
     curvature = math.tan(math.radians(max(-45.0, min(45.0, steer_deg)))) / car.wheelbase_m
     left, right = 1.0 - curvature * 0.5 * car.track_m, 1.0 + curvature * 0.5 * car.track_m
     reach = curvature * car.wheelbase_m
@@ -107,12 +107,12 @@ def check_wheels(
     *,
     doubted: bool = False,
 ) -> WheelCheck:
-    """One cycle in AS_DRIVING: `asked` is the command that this cycle sends.
+    """Check one cycle in AS_DRIVING: `asked` is the command that this cycle sends.
 
     doubted: the newest frame of 0x525 was not believed. A wheel that is believed again and does not fit has not fitted
     since then.
     """
-    # What we ask for once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
+    # A request made once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
     explains = check.implausible_since_ns is None
     until = now_ns + config.slip_memory_ns
     spin_until = until if explains and asked.torque_requested else check.spin_until_ns
@@ -177,5 +177,5 @@ NEW_STEERING = SteeringCheck()
 
 
 def forget_wheels(check: WheelCheck) -> WheelCheck:
-    """The same for the wheels, but what explains slip is remembered."""
+    """Begin the wheels' check again; what explains slip is remembered."""
     return replace(check, implausible_since_ns=None, detail="", doubted_since_ns=None)

@@ -15,7 +15,7 @@ from fsai_vcu.interface.values import Value
 
 
 class Circumstances(Value, frozen=True):
-    """What the bridge itself knows besides the supervisor's state."""
+    """Circumstances that the bridge itself knows besides the supervisor's state."""
 
     phase: Phase
     command: AiCommand = AiCommand()  # the last one sent
@@ -87,7 +87,7 @@ def _moment(
 
 
 def _held(config: BridgeConfig, state: SupervisorState, now_ns: int) -> tuple[str, ...]:
-    """Why torque is held in AS_DRIVING."""
+    """Say why torque is held in AS_DRIVING."""
     since_ns = now_ns if state.driving_since_ns is None else state.driving_since_ns
     left_ns = config.launch_wait_ns - (now_ns - since_ns)
     if left_ns > 0:

@@ -1,7 +1,8 @@
-"""Why a guard acted. A reason means that something is wrong: in nominal driving there is none.
+"""Reasons for which a guard acted.
 
-What the gate does as a matter of course (holding brake, the 3 s wait, steering at the actuator's rate, less torque at
-speed, a cycle of zeros between brake and torque) is no reason.
+A reason means that something is wrong: in nominal driving there is none. What the gate does as a matter of course
+(holding brake, the 3 s wait, steering at the actuator's rate, less torque at speed, a cycle of zeros between brake and
+torque) is no reason.
 """
 
 from __future__ import annotations

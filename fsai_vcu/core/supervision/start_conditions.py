@@ -1,4 +1,4 @@
-"""Why the car does not drive, as far as the bus shows it: one table of the conditions from power-up to AS_DRIVING.
+"""Table of the conditions from power-up to AS_DRIVING: it says why the car does not drive, as far as the bus shows it.
 
 Bridge, monitor, pit wall and explain all ask it, each with what it knows of a moment; so they answer in the same words.
 What the bus does not show (the bridge's mode, whose confirmation it waits for) is `readiness.py`.
@@ -39,7 +39,7 @@ DRIVING: Final = frozenset((AsState.AS_DRIVING,))
 
 
 class Moment(Value, frozen=True):
-    """What the bus shows at one moment; what it does not show counts as met.
+    """Picture that the bus shows at one moment; what it does not show counts as met.
 
     `command`: what the AI computer says, None where nothing of it was heard. `silent_ns`: the age of 0x520, where that
     counts as lost. `waited_ns`: for how long AS_READY has lasted, None where its begin was not seen. `history`: by slug
@@ -90,7 +90,7 @@ class Condition(Value, frozen=True):
     hint: bool = False
 
     def evidence(self, moment: Moment) -> tuple[str, str] | None:
-        """While the condition is not met: the field that shows it (none of history), and its value in words."""
+        """Evidence while the condition is not met: the field that shows it (none of history), its value in words."""
         if not self.sources:
             return ("", moment.history[self.slug]) if self.slug in moment.history else None
         known = self._known(moment)
@@ -133,7 +133,7 @@ SIGNAL_OF: Final[Mapping[str, str]] = {
     **{f"{name}.{one.name}": one.signal for kind, name in VEHICLE_FIELD_OF.items() for one in fields_of(kind)},
     **{f"command.{names[one.name]}": one.signal for kind, names in COMMAND_FIELDS.items() for one in fields_of(kind)},
 }
-"""For each field of a Moment that a condition may look at: its signal, as the databases call it."""
+"""Signal of each field of a Moment that a condition may look at, as the databases call it."""
 
 
 def fault_names(status: VcuStatus) -> tuple[str, ...]:
@@ -145,7 +145,7 @@ def fault_names(status: VcuStatus) -> tuple[str, ...]:
 
 
 def _more(moment: Moment, source: str) -> str:
-    """What 0x520 names beside FAULT_STATUS."""
+    """Name the faults of 0x520 besides FAULT_STATUS."""
     names = fault_names(cast(VcuStatus, moment.vehicle.status)) if source == "status.fault" else ()
     return f": {', '.join(names)}" if names else ""
 
@@ -295,7 +295,7 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
     ),
     Condition("go_off", "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING", DRIVING, ("status.go_signal",)),
 )
-"""What must be put right first stands in front."""
+"""Conditions of a drive; the one to put right first stands in front."""
 
 WORDS: Final[Mapping[str, str]] = {
     **{condition.slug: condition.words for condition in CONDITIONS},
@@ -305,7 +305,7 @@ WORDS: Final[Mapping[str, str]] = {
     "braked": "EMERGENCY_BRAKE: wait 15 s, ASMS off, then switch the car off and on",
     "no_go": "waiting for Go",
 }
-"""By slug the words of every condition, and of what an AS state itself waits for."""
+"""Words of every condition, and of what an AS state itself waits for, by slug."""
 
 
 def unmet(moment: Moment, state: AsState) -> tuple[tuple[Condition, str, str, bool], ...]:
@@ -323,8 +323,11 @@ def unmet(moment: Moment, state: AsState) -> tuple[tuple[Condition, str, str, bo
 
 
 def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The fields that show a condition of that state as met, each with its value in words; and the signals of
-    conditions of which nothing is seen. Hints, and what only earlier frames show, are neither."""
+    """Return the fields that show a condition of that state as met, each with its value in words.
+
+    It returns also the signals of conditions of which nothing is seen. Hints, and what only earlier frames show, are
+    neither.
+    """
     shown: dict[str, str] = {}
     unseen: dict[str, None] = {}
     for condition in CONDITIONS:
@@ -338,7 +341,7 @@ def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str,
 
 
 def why_not_driving(moment: Moment) -> Iterator[Obstacle]:
-    """What stands between now and driving, as far as the bus shows it, what must be put right first in front."""
+    """Yield the obstacles between now and driving that the bus shows, the one to put right first in front."""
     status = moment.vehicle.status
     if not moment.vehicle.status_known:
         yield Obstacle("as_state_unknown", Reason.AS_STATE_UNKNOWN.words)

@@ -17,7 +17,8 @@ latches: torque that is held back returns by itself with what was missing.
 
 A drive needs what only the car's own life brings, in this order and seen by this process (safety rules 2 and 10):
 AS_OFF, 5 s of AS_READY without Go, Go, AS_DRIVING (`NEXT`); and a mission that was acknowledged, with planner and
-controller reset for it. Each entry into AS_OFF, and each change of the AMI, begins a run, which forgets the last one's.
+controller reset for it. Each entry into AS_OFF, and each change of the AMI, begins a run, which forgets that of the
+last.
 
 "Stale after T" means an age of T or more; an age of T - 1 ns is still in time. docs/supervision.md shows the tables.
 """
@@ -40,13 +41,13 @@ from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 from fsai_vcu.interface.values import WORD_LENGTH, Value, shortened
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
-"""Where a mode may be chosen and the AMI is followed."""
+"""AS states in which a mode may be chosen and the AMI is followed."""
 
 ROLES = ("planner", "controller")
 
 
 class Mode(Enum):
-    """Who drives: nobody, or the planner through the gate."""
+    """Driver of the car: nobody, or the planner through the gate."""
 
     MANUAL = "manual"
     AUTONOMOUS = "autonomous"
@@ -56,7 +57,7 @@ MODES = tuple(mode.value for mode in Mode)
 
 
 class Sequence(IntEnum):
-    """How much of AS_OFF -> AS_READY -> AS_DRIVING this process has itself seen, without a break."""
+    """Part of AS_OFF -> AS_READY -> AS_DRIVING that this process has itself seen, without a break."""
 
     NONE = auto()
     OFF_SEEN = auto()
@@ -80,7 +81,7 @@ NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
 
 
 class Phase(Enum):
-    """Where a run stands, seen from the AI side. Each has one row in `OUTPUT`."""
+    """Phase of a run, seen from the AI side. Each has one row in `OUTPUT`."""
 
     IDLE = "no AS state yet, AS_INIT or AS_OFF"
     READY = "AS_READY"
@@ -96,7 +97,7 @@ class Phase(Enum):
 
 
 class Steer(Enum):
-    """Where the steering request comes from."""
+    """Source of the steering request."""
 
     ZERO = auto()
     HELD = auto()
@@ -105,7 +106,7 @@ class Steer(Enum):
 
 
 class Brake(Enum):
-    """Where the brake request comes from."""
+    """Source of the brake request."""
 
     ZERO = auto()
     HOLDING = auto()
@@ -145,7 +146,7 @@ OUTPUT: Mapping[Phase, Output] = MappingProxyType(
 
 
 class Consequence(IntEnum):
-    """What follows from a fault, the graver the higher."""
+    """Consequence of a fault, the graver the higher."""
 
     REPORT = auto()
     HOLD = auto()  # torque 0 while it lasts
@@ -155,7 +156,7 @@ class Consequence(IntEnum):
 
 
 class Step(Value, frozen=True):
-    """After an age of `after` (the name of a time in BridgeConfig, None: at once), `consequence`."""
+    """Step of a reaction: at an age of `after` (a time's name in BridgeConfig, None: at once), `consequence`."""
 
     after: str | None
     consequence: Consequence
@@ -170,10 +171,10 @@ CHANGES = (
     Reason.STATE_FAULT,
     Reason.AMI_CHANGED,
 )
-"""What 0x520 must not change in AS_DRIVING though FAULT_STATUS stays 0 (see `changes`)."""
+"""Reasons that name a change of 0x520 that AS_DRIVING must not see though FAULT_STATUS stays 0 (see `changes`)."""
 
 UNPREPARED = (Reason.NOT_SEEN, Reason.SEQUENCE_SHORT, Reason.NO_MISSION, Reason.NOT_CONFIRMED)
-"""What AS_DRIVING may lack of a drive that was begun in order (see `_unprepared`)."""
+"""Reasons that name what AS_DRIVING may lack of a drive that was begun in order (see `_unprepared`)."""
 
 _STOP_AT_ONCE = (Step(None, Consequence.STOP),)
 _FEEDBACK = (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP))
@@ -248,7 +249,7 @@ class Latch(Value, frozen=True):
 class SupervisorState(Value, frozen=True):
     """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
 
-    # What 0x520 reported
+    # Reported by 0x520
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
@@ -262,7 +263,7 @@ class SupervisorState(Value, frozen=True):
     ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
     driving_since_ns: int | None = None
 
-    # What 0x525 reported, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
+    # Reported by 0x525, and by 0x526 of the wheels' turning (see wheel_speeds.Pulses)
     speeds_ns: int | None = None
     fastest_rpm: int = 0
     still_since_ns: int | None = None
@@ -294,7 +295,7 @@ class SupervisorState(Value, frozen=True):
 
 
 class Inputs(Value, frozen=True):
-    """What a cycle sees besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
+    """Inputs of a cycle besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
 
     now_ns: int
     command: VehicleCommand | None = None
@@ -308,7 +309,7 @@ class Inputs(Value, frozen=True):
 
 
 class Decision(Value, frozen=True):
-    """What this cycle is to say; the gate turns it into values. The default is safe."""
+    """Decision on what this cycle is to say; the gate turns it into values. The default is safe."""
 
     phase: Phase = Phase.IDLE
     mission_status: MissionStatus = MissionStatus.NOT_SELECTED
@@ -332,7 +333,7 @@ def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> Supervi
 
 
 def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
-    """Whether the car has been silent for a power cycle's time since it was last believed."""
+    """Return true where the car has been silent for a power cycle's time since it was last believed."""
     return state.was_silent or (state.received_ns is not None and now_ns - state.received_ns >= config.power_cycle_ns)
 
 
@@ -438,7 +439,7 @@ def _state_name(state: SupervisorState) -> str:
 
 
 def _unknown_state(config: BridgeConfig, state: SupervisorState, now_ns: int) -> str | None:
-    """Why nobody can know the AS state now; None if it is known."""
+    """Say why nobody can know the AS state now; None if it is known."""
     if state.status_ns is None:
         return "the car has not reported its AS state yet (no 0x520)"
     if vcu_lost(config, state, now_ns):
@@ -479,7 +480,7 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
 def confirm(state: SupervisorState, role: str, run_id: int) -> SupervisorState:
     """`role` has forgotten everything before run `run_id`. Another run's confirmation says nothing.
 
-    Each says so once for a run: one who says it again is a new process, and after a restart of any process the car
+    Each says so once for a run: a role that says it again is a new process, and after a restart of any process the car
     does not resume driving (safety rule 10).
     """
     if role not in ROLES or run_id != state.run_id:
@@ -576,9 +577,9 @@ def valid_command(config: BridgeConfig, state: SupervisorState, inputs: Inputs) 
 
 
 def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs, supervised_ns: int) -> int:
-    """For how long there has been no new command. Data of 500 ms ages like a command of 100 ms.
+    """Return for how long (ns) there has been no new command; data of 500 ms ages like a command of 100 ms.
 
-    What is stale counts on until a cycle has a fresh command, however regularly others on old data come.
+    A stale command counts on until a cycle has a fresh one, however regularly others on old data come.
     """
     age_ns = supervised_ns
     command = inputs.command
@@ -592,7 +593,7 @@ def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs
 
 
 def _command_age_words(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> str:
-    """Which it is that makes the command stale."""
+    """Say in words what makes the command stale."""
     command = inputs.command
     if command is None or command.run_id != state.run_id:
         return f"no command has come in run {state.run_id}"
@@ -603,7 +604,7 @@ def _command_age_words(config: BridgeConfig, state: SupervisorState, inputs: Inp
 
 
 def _unprepared(config: BridgeConfig, state: SupervisorState) -> tuple[Reason, str] | None:
-    """What this AS_DRIVING lacks of a drive that was begun in order (safety rule 2)."""
+    """Return what this AS_DRIVING lacks of a drive that was begun in order (safety rule 2); None: nothing."""
     if state.sequence is not Sequence.COMPLETE:
         return Reason.NOT_SEEN, ""
     if state.ready_waited_ns < config.ready_wait_ns and not config.short_sequence_allowed:
@@ -622,7 +623,10 @@ def _unprepared(config: BridgeConfig, state: SupervisorState) -> tuple[Reason, s
 def _stop_ineffective(
     config: BridgeConfig, state: SupervisorState, stop: Latch, now_ns: int
 ) -> tuple[SupervisorState, bool]:
-    """Whether a service-brake stop does not work; moves the window over which a deceleration must show."""
+    """Return the state, and whether a service-brake stop does not work.
+
+    It moves the window over which a deceleration must show.
+    """
     fresh = wheels_fresh(config, state, now_ns)
     if fresh and state.fastest_rpm < config.standstill_rpm:
         return state, False
@@ -645,7 +649,7 @@ _AT_ONCE_NS = 0
 def _ages(
     config: BridgeConfig, state: SupervisorState, inputs: Inputs, command: VehicleCommand | None
 ) -> tuple[SupervisorState, list[tuple[Reason, int, str]]]:
-    """What is wrong in AS_DRIVING, for how long, and the details. `command` is a valid one."""
+    """List what is wrong in AS_DRIVING, for how long, and the details. `command` is a valid one."""
     now_ns = inputs.now_ns
     found: list[tuple[Reason, int, str]] = []
     assert state.status_ns is not None and state.driving_since_ns is not None  # AS_DRIVING was seen
@@ -734,6 +738,7 @@ def may_move(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
 
 
 def _phase(config: BridgeConfig, state: SupervisorState, hold: bool, now_ns: int) -> Phase:
+    """Return the phase of the run; `hold` says that torque is held back."""
     now = state.as_state
     if now is None or now in OFF_LIKE:
         return Phase.IDLE
@@ -753,7 +758,7 @@ def _phase(config: BridgeConfig, state: SupervisorState, hold: bool, now_ns: int
 
 
 def acknowledged(state: SupervisorState) -> bool:
-    """Whether SELECTED may be sent in this AS state.
+    """Return true where SELECTED may be sent in this AS state.
 
     With an emergency latched it is not sent in AS_OFF: the car would come as far as AS_DRIVING only to brake.
     """
@@ -764,7 +769,7 @@ def acknowledged(state: SupervisorState) -> bool:
 
 
 def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> tuple[SupervisorState, Decision]:
-    """One cycle: what has become of the run by now, and what is to be sent."""
+    """Supervise one cycle: what has become of the run by now, and what is to be sent."""
     now_ns = inputs.now_ns
     hold = True
     reasons: dict[Reason, str] = {}
@@ -815,7 +820,7 @@ def begin_end(config: BridgeConfig, state: SupervisorState, now_ns: int) -> Supe
 
 
 def ending(decision: Decision) -> Decision:
-    """What the last cycles before the silence say: with NEUTRAL there are zeros, and no mission is acknowledged."""
+    """Return the decision of the last cycles before the silence: with NEUTRAL, zeros and no acknowledged mission."""
     if decision.direction is not Direction.NEUTRAL:
         return decision
     acknowledging = OUTPUT[decision.phase].mission_status is None

@@ -1,9 +1,9 @@
-"""Which wheel speeds (0x525) are believed, and what the pulse counts (0x526) say of standing still.
+"""Belief in the wheel speeds (0x525), and what the pulse counts (0x526) say of standing still.
 
-Pure: `pulses_of` and `on_counts` take frames of 0x526, `on_speeds` those of 0x525 and says why one is not believed; a
-frame that is not believed is treated like one that never came. A wheel's two messages are compared in turns of the
-wheel: what it has turned by its count while its reading says that it stands, and what it has turned by its reading
-while its count stands still. Counts that are missing, or start again, contradict nothing.
+Pure: `pulses_of` and `on_counts` take frames of 0x526, `on_speeds` those of 0x525 and says why a frame is not believed;
+it is then treated as if it never came. A wheel's two messages are compared in turns of the wheel: what it has turned by
+its count while its reading says that it stands, and what it has turned by its reading while its count stands still.
+Counts that are missing, or start again, contradict nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LEVEL = (0.0, 0.0, 0.0, 0.0)
 
 
 class Pulses(Value, frozen=True):
-    """When the wheels' pulse counts last advanced. Times are of the monotonic clock, None: never."""
+    """Last advances of the wheels' pulse counts. Times are of the monotonic clock, None: never."""
 
     counts: WheelCounts | None = None
     steps: Wheels | None = None  # pulses between the last two frames; None: not to be compared
@@ -69,19 +69,19 @@ def pulses_of(most_per_s: float, pulses: Pulses, counts: WheelCounts) -> Pulses:
 
 
 def turning(standstill_ns: int, turning_ns: int | None, now_ns: int) -> bool:
-    """Whether one wheel's count advanced by two or more in the last `standstill_ns`: one may be an edge at rest."""
+    """Return true where a wheel's count advanced by 2 or more in the last `standstill_ns`: 1 may be an edge at rest."""
     return turning_ns is not None and now_ns - turning_ns < standstill_ns
 
 
 NO_PULSES = Pulses()
-"""Before the first frame of 0x526."""
+"""Pulses before the first frame of 0x526."""
 
 
 # ---------------------------------------------------------------- belief
 
 
 class WheelBelief(Value, frozen=True):
-    """What is needed to believe the next frame of 0x525."""
+    """State that is needed to believe the next frame of 0x525."""
 
     speeds: WheelSpeeds | None = None  # the last frame that was believed
     reading_ns: int | None = None  # the last frame within the database's range, believed or not
@@ -97,7 +97,7 @@ class WheelBelief(Value, frozen=True):
 
 
 def on_counts(config: BridgeConfig, car: VehicleParameters, belief: WheelBelief, counts: WheelCounts) -> WheelBelief:
-    """A frame of 0x526: compare it with the readings since the one before."""
+    """A frame of 0x526: compare it with the readings since the frame before."""
     before, t_ns = belief.pulses, counts.t_rx_ns
     pulses = pulses_of(pulses_per_s(config, car), before, counts)
     newest = belief.newest_rpm

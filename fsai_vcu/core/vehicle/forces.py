@@ -1,4 +1,4 @@
-"""From an acceleration that is wanted to the pedal that gives it, on the level."""
+"""Forces on the level: from an acceleration that is wanted to the pedal that gives it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ AIR_DENSITY_KGPM3 = 1.2
 
 
 def resistance_n(car: VehicleParameters, speed_mps: float) -> float:
-    """What tyres and air slow the car with."""
+    """Return the force (N) with which tyres and air slow the car."""
     rolling = car.rolling_resistance * car.mass_kg * GRAVITY_MPS2
     return rolling + 0.5 * AIR_DENSITY_KGPM3 * car.drag_area_m2 * speed_mps**2
 
 
 def axle_torque_nm(car: VehicleParameters, speed_mps: float) -> float:
-    """What one axle may be asked for at a speed, which full throttle means."""
+    """Return the torque (Nm) that one axle may be asked for at a speed, which full throttle means."""
     rpm = car.wheel_rpm_of_speed(speed_mps)
     allowed_nm = min((torque for above_rpm, torque in CONSTANT_POWER_RPM_NM if rpm > above_rpm), default=math.inf)
     return min(allowed_nm, car.axle_torque_max_nm)

@@ -35,7 +35,7 @@ class OdometrySettings(Value, frozen=True):
     bias_gain: float = 0.02  # of the yaw-rate sensor's bias, per reading at rest
     bias_max_radps: float = 0.05
 
-    # How sure it is: standard deviations, or what they are made of.
+    # Certainty of the motion: standard deviations, or what they are made of.
     position_sd_share: float = 0.02  # of the driven path: the rolling radius under load is 0.251 … 0.258 m, and slip
     yaw_sd_radpsqrtm: float = 0.005  # of the heading after one metre: the sensor's bias, or the steering's backlash
     error_length_m: float = 10.0  # an error keeps its sign for about so long

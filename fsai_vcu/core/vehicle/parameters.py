@@ -1,4 +1,4 @@
-"""What a car measures and can do: one frozen set of numbers per car. A new car is a new entry in `CARS`."""
+"""Measures and abilities of a car: one frozen set of numbers per car. A new car is a new entry in `CARS`."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Databases:
     def decoded(
         self, layout: MessageLayout, data: bytes, *, scaling: bool = True, choices: bool = False
     ) -> dict[str, Any]:
-        """One frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
+        """Decode one frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
 
         Raises UndecodableError.
         """
@@ -146,7 +146,7 @@ def _load(path: Path) -> tuple[Database, bool, str]:
         make_flags_unsigned,
     )
 
-    import cantools.database  # isort: skip  after ours, which see to it that it loads no more than it needs
+    import cantools.database  # isort: skip  after lean_cantools, which sees to it that cantools loads no more than it needs
     from cantools.database.can import Database  # isort: skip
 
     try:
@@ -190,6 +190,7 @@ def _load(path: Path) -> tuple[Database, bool, str]:
 
 
 def _layout(message: Message) -> MessageLayout:
+    """Return the layout of cantools' message, and whether it is plain."""
     signals = tuple(_signal_layout(signal) for signal in message.signals)
     plain = (
         message.length <= _MAX_PLAIN_BYTES
@@ -233,13 +234,14 @@ def _signal_layout(signal: Signal) -> SignalLayout:
 
 
 def _lowest_bit(signal: Signal) -> int:
-    """As in SignalLayout; of a big-endian signal cantools names the highest bit, by its place in its byte."""
+    """Return the lowest bit as in SignalLayout; of a big-endian signal cantools names the highest, by its place."""
     if signal.byte_order != "big_endian":
         return signal.start
     return 8 * (_MAX_PLAIN_BYTES - 1 - signal.start // 8) + signal.start % 8 - signal.length + 1
 
 
 def _is_plain(signal: Signal, length: int) -> bool:
+    """Return true where the signal can be taken out of a message of `length` bytes by shifting and masking."""
     lowest = _lowest_bit(signal)
     first = 8 * (_MAX_PLAIN_BYTES - length) if signal.byte_order == "big_endian" else 0
     if not 0 < signal.length <= 64 or lowest < first or lowest + signal.length > first + 8 * length:
@@ -251,7 +253,7 @@ def _is_plain(signal: Signal, length: int) -> bool:
     scale, offset = signal.scale, signal.offset
     if scale == 1 and offset == 0:
         return True
-    # Whether 64-bit integers can reckon what Python's unbounded ones do for cantools.
+    # True where 64-bit integers can reckon what Python's unbounded ones do for cantools.
     if signal.length == 64 and not signal.is_signed:
         return False
     most = 1 << (signal.length - 1 if signal.is_signed else signal.length)

@@ -70,7 +70,7 @@ class Decoder:
         self._standard[keys[short]] = np.flatnonzero(short)
 
     def which(self, frames: Frames) -> npt.NDArray[np.int32]:
-        """For each frame the index of its message; -1: in no database, -2: an error or remote frame."""
+        """Return for each frame the index of its message; -1: in no database, -2: an error or remote frame."""
         keys = np.where(frames.flags & EXTENDED, frames.can_id | np.uint32(EXTENDED_KEY), frames.can_id)
         index = np.take(self._standard, keys, mode="clip")
         wide = np.flatnonzero(keys > MAX_STANDARD_ID)
@@ -117,6 +117,7 @@ class Decoder:
         return MessageTable(layout, rows, t_ns, series, wrong)
 
     def _careful_series(self, layout: MessageLayout, frames: Frames, rows: Ints) -> dict[str, SignalSeries]:
+        """Decode the frames `rows` through cantools, one by one, into a series for each signal."""
         message = self.databases.message(layout.key)
         found: dict[str, tuple[list[int], list[Any], list[Any]]] = {
             signal.name: ([], [], []) for signal in layout.signals

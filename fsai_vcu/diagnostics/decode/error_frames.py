@@ -1,4 +1,4 @@
-"""What an error frame of SocketCAN says (linux/can/error.h), in words."""
+"""Words for what an error frame of SocketCAN says (linux/can/error.h)."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ BOUNDS: Final = Bounds(memory_bytes=256 * MIB, memory_times=150, seconds=10, sec
 
 
 def main(path: Path, kind: str) -> None:
-    """kind: as cantools names it; '' where it is to find out."""
+    """Read the database and send it. kind: as cantools names it; '' where it is to find out."""
 
     def read(send: Callable[[Any], None]) -> None:
         def load(text: str) -> Any:

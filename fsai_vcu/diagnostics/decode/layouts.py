@@ -1,4 +1,4 @@
-"""What is known of a message and its signals: plain data."""
+"""Layouts of messages and their signals: plain data."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
 EXTENDED_KEY: Final = 1 << 29
-"""In the key of a message: its identifier is one of 29 bits."""
+"""Mark in the key of a message: its identifier is one of 29 bits."""
 
 
 class SignalLayout(NamedTuple):
-    """Where a signal of a plain message lies and what its bits mean.
+    """Layout of a signal of a plain message: its place and the meaning of its bits.
 
     start: its lowest bit in the eight bytes (zeros behind the message's own) as a number, little-endian or big-endian.
     The value is raw * scale + offset, reckoned with the very types that the database has: int or float.
@@ -46,7 +46,7 @@ class MessageLayout(NamedTuple):
     plain: bool
 
     def is_called(self, name: str) -> bool:
-        """Whether that is its name (with * and ?) or its identifier (520 or 0x520)."""
+        """Return true where that is its name (with * and ?) or its identifier (520 or 0x520)."""
         return fnmatchcase(self.name.lower(), name.lower()) or name.lower().removeprefix("0x") == f"{self.can_id:x}"
 
     def signals_like(self, patterns: Sequence[str]) -> tuple[SignalLayout, ...]:

@@ -43,6 +43,7 @@ class LineWriter:
         short: bool = False,
         rounded: bool = False,
     ) -> None:
+        """Make a writer of `decoder`'s messages; the class says what the options do."""
         self._decoder = decoder
         self._json = as_json
         self._words = words
@@ -56,7 +57,7 @@ class LineWriter:
         return self._written(frames, self._heads, self._line)
 
     def tails(self, frames: Frames) -> list[bytes]:
-        """For each frame what it says, to stand behind the frame itself; with the line end."""
+        """Return what each frame says, to stand behind the frame itself; with the line end."""
         return [line + b"\n" for line in bytes(self._written(frames, lambda _: [], self._tail)).split(b"\n")[:-1]]
 
     def _written(
@@ -102,7 +103,7 @@ class LineWriter:
         return ',"message":null,"signals":{}}\n' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})\n"
 
     def _usual(self, layout: MessageLayout, words: Words) -> list[Part]:
-        """What the frames of a plain message say, from their payloads."""
+        """Return what the frames of a plain message say, from their payloads."""
         text = self._messages.get(layout.key)
         if text is None:
             texts = [self._text_of(signal) for signal in layout.signals]
@@ -114,7 +115,7 @@ class LineWriter:
         return [*parts, text.end.encode()]
 
     def _text_of(self, signal: SignalLayout) -> SignalText:
-        """Signals whose values have the same texts share them."""
+        """Return the texts of a signal's values; signals whose values have the same texts share them."""
         alone = signal._replace(start=0, big_endian=False, name=signal.name if self._short else "")
         key = str(alone)
         if key not in self._texts:
@@ -151,7 +152,7 @@ class LineWriter:
         )
 
     def _tail(self, frame: LogFrame) -> str:
-        """What stands behind an unusual frame: an error or remote frame, or one that goes through cantools."""
+        """Return the text behind an unusual frame: an error or remote frame, or a frame that goes through cantools."""
         layout = self._decoder.databases.layouts.get(frame.can_id | (EXTENDED_KEY if frame.extended else 0))
         if frame.error:
             words = error_words(frame.can_id, frame.data)

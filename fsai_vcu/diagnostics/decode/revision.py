@@ -1,4 +1,4 @@
-"""Which interface revision a log was written under, told from its frames, with the reason."""
+"""Interface revision under which a log was written, told from its frames, with the reason."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class MessageText:
         self.signals = signals
         self.before: list[str] = []
         if short:
-            name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # who sends to whom is seen from the identifier
+            name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # sender and receiver are seen from the identifier
             said = f" {name}" if name != "Status" else ""  # as 0x510 and 0x520 are called, which are known by sight
             self.before = [said, *[""] * (len(layout.signals) - 1)][: len(layout.signals)]
             self.end = "\n" if layout.signals else f"{said}\n"
@@ -50,6 +50,7 @@ class SignalText:
     """
 
     def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool, rounded: bool = False) -> None:
+        """Prepare the texts of one signal; a table holds all of them where the signal has few bits."""
         self._layout = layout
         values = 1 << layout.length if layout.length <= _TABLE_BITS else 0
         self._table = Texts(np.zeros(values, "V1"), np.zeros(values, np.int64))  # by the bits of a value
@@ -81,7 +82,7 @@ class SignalText:
         if not len(self._known):
             return self._written(bits)
         if not self._complete and not (known := np.take(self._known, bits)).all():
-            # Where many come up, the rest is learned with them.
+            # Once many have come up, the rest is learned with them.
             many = 4 * np.count_nonzero(self._known) > len(self._known) or len(self._known) <= _SMALL
             self._learn(np.flatnonzero(~self._known) if many else np.unique(bits[~known]))
         return self._table.at(bits)
@@ -160,7 +161,7 @@ class ShortText(SignalText):
 
 
 def _one_line(text: str) -> str:
-    """Without what would end or break a line."""
+    """Return the text without what would end or break a line."""
     return text.replace("\0", "").replace("\n", " ")
 
 

@@ -1,1 +1,1 @@
-"""What is right and what is wrong on this machine: collected once, judged by pure functions, shown on one screen."""
+"""State of this machine, right or wrong: collected once, judged by pure functions, shown on one screen."""

@@ -106,6 +106,7 @@ def limits(machine: Machine) -> Iterator[Finding]:
 
 
 def interface(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on the interface that the configuration names: its state, bitrate, queue and driver."""
     wanted, link = machine.wanted, machine.link
     if wanted is None:
         yield _note("interface", _NO_CONFIGURATION)
@@ -162,6 +163,7 @@ def interface(machine: Machine) -> Iterator[Finding]:
 
 
 def bus(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on the traffic: whether the car is heard, and whether it speaks the configured revision."""
     wanted, seen = machine.wanted, machine.bus
     if wanted is None or seen is None:
         yield _note("bus", "not listened to")
@@ -211,6 +213,7 @@ def _traffic(seen: BusTraffic) -> Iterator[Finding]:
 
 
 def _wheels(wanted: Wanted, seen: BusTraffic) -> Iterator[Finding]:
+    """Yield findings on the wheels: whether their speeds and pulses come and agree."""
     pulses, speeds = seen.pulses, seen.speed_max_rpm
     if pulses is None or speeds is None:
         absent = (("wheel speeds (0x525)", speeds), ("pulses (0x526)", pulses))
@@ -232,6 +235,7 @@ def _wheels(wanted: Wanted, seen: BusTraffic) -> Iterator[Finding]:
 
 
 def ros(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on ROS 2: its distribution, and whether the project's packages are beside it."""
     here = machine.ros
     if not here.rclpy:
         yield _wrong(
@@ -266,6 +270,7 @@ def shared_memory(machine: Machine) -> Iterator[Finding]:
 
 
 def dds(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on DDS: its domain, its encryption, and where the nodes listen."""
     wanted = machine.wanted
     if wanted is None:
         yield _note("DDS", _NO_CONFIGURATION)
@@ -300,6 +305,7 @@ def dds(machine: Machine) -> Iterator[Finding]:
 
 
 def services(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on the services: whether they start at boot, for which bus, and their states."""
     wanted = machine.wanted
     configured = wanted.configured_interface if wanted is not None and ":" not in wanted.configured_interface else ""
     settle = f"{_SETTLE} {configured or 'INTERFACE'}"
@@ -327,6 +333,7 @@ def services(machine: Machine) -> Iterator[Finding]:
 
 
 def scheduling(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on the CAN loop's real-time scheduling and memory."""
     if machine.rt_runtime_us == 0:
         yield _wrong(
             "scheduling",
@@ -369,6 +376,7 @@ def clock(machine: Machine) -> Iterator[Finding]:
 
 
 def disk(machine: Machine) -> Iterator[Finding]:
+    """Yield findings on the recordings' disk: its free room, and whether the recorder may write there."""
     wanted = machine.wanted
     if wanted is None or machine.disk_free_mib is None:
         yield _note("disk", _NO_CONFIGURATION if wanted is None else f"{wanted.recording_folder} is not there yet")

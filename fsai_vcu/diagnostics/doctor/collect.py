@@ -85,7 +85,7 @@ def laptop(bus: str | None = None, seconds: float = 2.0, proc: Path = Path("/pro
 
 
 def kernel_has(module: str, folder: Path = _MODULES) -> bool:
-    """Whether the running kernel has a module, built in or to be loaded."""
+    """Return true where the running kernel has a module, built in or to be loaded."""
     here = folder / platform.release()
     return any(f"/{module}.ko" in _read(here / name) for name in ("modules.builtin", "modules.dep"))
 
@@ -163,7 +163,7 @@ def _details(name: str) -> dict[str, Any]:
 
 
 def listen(interface: str, codec: Codec, seconds: float) -> BusTraffic:
-    """What is on the bus for so long."""
+    """Listen for so long and return what is on the bus."""
     try:
         source = LiveSource([interface])
     except BusError as error:
@@ -177,7 +177,7 @@ def listen(interface: str, codec: Codec, seconds: float) -> BusTraffic:
 
 
 def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic:
-    """The same of frames that have been received."""
+    """Return the traffic in frames that have been received."""
     counts: list[Four] = []
     speeds: list[Four] = []
     for frames in chunks:
@@ -207,7 +207,7 @@ def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic
 
 
 def _counted(values: Iterable[int]) -> int:
-    """By a counter of 16 bits."""
+    """Return how far a counter of 16 bits counted."""
     return sum((after - before) % (1 << 16) for before, after in pairwise(values))
 
 
@@ -229,7 +229,7 @@ def _ros(proc: Path) -> Ros:
 
 
 def distribution_of(rclpy: str, named: str, folder: Path) -> tuple[str, str]:
-    """Whose rclpy it is: a distribution's name, '' for the package index; and an installed one that is not used.
+    """Return whose rclpy it is: a distribution's name, '' for the package index; and an installed one that is not used.
 
     rclpy: the folder it is imported from. named: ROS_DISTRO. folder: where distributions are, /opt/ros.
     """
@@ -255,7 +255,7 @@ def _implementation(proc: Path) -> str | None:
 
 
 def _bridge_started_s(proc: Path) -> float | None:
-    """When the running bridge was started, by the wall clock; None if none runs (proc(5))."""
+    """Return when the running bridge was started (s), by the wall clock; None if none runs (proc(5))."""
     booted = [line.split()[1] for line in _read(proc / "stat").splitlines() if line.startswith("btime ")]
     for folder in _processes(proc, _BRIDGE_MODULE):
         fields = _read(folder / "stat").rpartition(")")[2].split()
@@ -273,7 +273,7 @@ def _newer(path: Path, started_s: float | None) -> bool:
 
 
 def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
-    """Which of the files the services' user cannot read, or could change; nothing where there is no such user."""
+    """List the files that the services' user cannot read, or could change; nothing where there is no such user."""
     try:
         group = grp.getgrnam(_GROUP).gr_gid
     except KeyError:
@@ -307,19 +307,19 @@ def services(interface: str) -> dict[str, str]:
 
 
 def starts_at_boot() -> bool | None:
-    """Whether what is installed here starts with the machine; None where nothing is, or systemd does not run."""
+    """Return true where this installation starts with the machine; None: there is none, or systemd does not run."""
     if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
         return None
     return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
-    """That of the running CAN loop."""
+    """Return the scheduling of the running CAN loop."""
     return next(filter(None, map(scheduling_of, _processes(proc, _LOOP_MODULE))), None)
 
 
 def scheduling_of(process: Path) -> Scheduling | None:
-    """That of the most urgent thread of a process, by its folder in /proc; None when it has just ended."""
+    """Return the scheduling of a process's most urgent thread, by its folder in /proc; None when it has just ended."""
     threads = []
     with suppress(OSError):
         for thread in (process / "task").iterdir():
@@ -360,7 +360,7 @@ def listening_addresses(process: Path) -> list[Address]:
 
 
 def listening_sockets(process: Path) -> dict[int, Address]:
-    """By inode: the local address of each UDP or TCP socket that takes what comes, in a process's network (proc(5))."""
+    """Return by inode the local address of each UDP or TCP socket that listens, in a process's network (proc(5))."""
     found = {}
     for name in ("tcp", "tcp6", "udp", "udp6"):
         for line in _read(process / "net" / name).splitlines()[1:]:
@@ -407,7 +407,7 @@ def _processes(proc: Path, module: bytes) -> Iterator[Path]:
 
 
 def _synchronised() -> bool | None:
-    """Whether something keeps the kernel's clock right, as timedatectl judges it; None where that cannot be asked."""
+    """Return true where something keeps the kernel's clock right, by timedatectl's rule; None where that is unknown."""
     answer = ctypes.create_string_buffer(_TIMEX_BYTES)  # `modes` is zero: nothing is set
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(answer)
@@ -418,7 +418,7 @@ def _synchronised() -> bool | None:
 
 
 def _folder_problem(folder: Path) -> str:
-    """Why the recorder, which runs as the user fsai, cannot write there."""
+    """Say why the recorder, which runs as the user fsai, cannot write there."""
     status = folder.stat()
     try:
         owner = grp.getgrgid(status.st_gid).gr_name
@@ -450,7 +450,7 @@ def system() -> str:
 
 
 def _output(*argv: str) -> str:
-    """What a command prints; nothing where it is not there or does not answer."""
+    """Return what a command prints; nothing where it is not there or does not answer."""
     tool = shutil.which(argv[0], path=f"{os.environ.get('PATH', '')}:{_PATH}")
     if tool is None:
         return ""

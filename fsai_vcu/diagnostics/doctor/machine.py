@@ -10,7 +10,7 @@ from fsai_vcu.diagnostics.doctor.wheels import Four
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the configuration asks for."""
+    """Settings that the configuration asks for."""
 
     path: str
     interface: str  # that is looked at
@@ -44,7 +44,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class BusTraffic:
-    """What was on the bus while the doctor listened. Pulses and speeds by the configured mapping: fl, fr, rl, rr."""
+    """Traffic on the bus while the doctor listened. Pulses and speeds by the configured mapping: fl, fr, rl, rr."""
 
     seconds: float
     frames: int = 0
@@ -76,7 +76,7 @@ class Ros:
 
 @dataclass(frozen=True, slots=True)
 class Scheduling:
-    """How a running CAN loop is scheduled. policy: SCHED_FIFO, SCHED_OTHER…"""
+    """Scheduling of a running CAN loop. policy: SCHED_FIFO, SCHED_OTHER…"""
 
     policy: str
     priority: int
@@ -92,7 +92,7 @@ class Machine:
     kernel_has_vcan: bool = False
     may_be_real_time: bool = False  # whether this user's processes may
     domain_id: str = "0"
-    transport: str = ""  # whom this shell's ROS 2 programs reach, where that is not the loopback alone
+    transport: str = ""  # reach of this shell's ROS 2 programs, where that is not the loopback alone
     wanted: Wanted | None = None
     configuration_problems: tuple[str, ...] = ()
     interfaces: tuple[str, ...] = ()  # CAN interfaces there are
@@ -107,7 +107,7 @@ class Machine:
     clock_year: int = 0
     disk_free_mib: int | None = None  # where bus logs go
     folder_problem: str = ""  # why the log folder cannot be used
-    file_problems: tuple[tuple[str, str], ...] = ()  # configuration and limits: whom they are closed or open to
+    file_problems: tuple[tuple[str, str], ...] = ()  # configuration and limits: closed or open to whom
     changed_since_start: tuple[str, ...] = ()  # files that are newer than the running bridge, which has read them once
     user: str = ""
     groups: tuple[str, ...] = ()

@@ -15,12 +15,12 @@ _OTHERS_SHARE = 0.25  # of the pulses of the wheel that turns: more of another o
 _TOLERANCE = 2  # pulses by which a turn by hand may miss
 
 Four = tuple[int, ...]
-"""Of fl, fr, rl, rr."""
+"""Numbers of fl, fr, rl, rr."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What was seen while `wheel` was turned once: pulses and highest speed by signal position."""
+    """Signals seen while `wheel` was turned once: pulses and highest speed by signal position."""
 
     wheel: str
     pulses: Four
@@ -39,7 +39,7 @@ class Turn:
         return max(self.pulses)
 
     def problem(self, pulses_per_rev: int) -> str | None:
-        """What is wrong with it, in words."""
+        """Say in words what is wrong with the turn; None: nothing."""
         if self.source is None:
             moved = ", ".join(f"{w} {n}" for w, n in zip(WHEELS, self.pulses, strict=True) if n)
             return f"more than one signal counted ({moved}): turn one wheel alone"
@@ -92,7 +92,7 @@ class WheelWiringCheck:
         self._fastest = [max(pair) for pair in zip(self._fastest, speeds_rpm, strict=True)]
 
     def mapping(self) -> WheelMapping | None:
-        """What the turns come to; None when two wheels were found in one signal."""
+        """Mapping that the turns show; None when two wheels were found in one signal."""
         found = {turn.wheel: turn.source for turn in self.turns if turn.source is not None}
         try:
             return WheelMapping.of(found)

@@ -63,10 +63,13 @@ _TOO_MANY: Final = (
 
 
 def explained(record: Record, part_ns: TimeRange = ALWAYS) -> Explanation:
-    """What happened in a log, and why. Of what happened and lasted within `part_ns`, with causes from the whole log."""
+    """Explain what happened in a log, and why.
+
+    It tells of what happened and lasted within `part_ns`, with causes from the whole log.
+    """
     begin_ns, end_ns = part_ns
     mixed = [*within(part_ns, record.second_cars)]
-    # Of two who ask, the car can follow one.
+    # The car can follow only one of two senders.
     asked = () if mixed or any(within(part_ns, record.second_senders)) else mismatches(record, part_ns)
     kinds = (emergencies(record), refusals(record), early_stops(record), asked)
     found = [list(islice(within(part_ns, kind), MOST_INCIDENTS + 1)) for kind in kinds]
@@ -123,8 +126,11 @@ def _of_a_busy_computer(record: Record, incident: Incident) -> Incident:
 
 
 def _told_by(other: Incident, one: Incident) -> bool:
-    """True where the other tells the same: what the car does not do as asked is why an AI computer stops it, and why it
-    stands; a stand is why somebody ends it."""
+    """Return true where the other incident tells the same.
+
+    What the car does not do as asked is why an AI computer stops it, and why it stands; a stand is why somebody ends
+    it.
+    """
     if one.kind is IncidentKind.MISMATCH and other.kind is IncidentKind.STAND:
         return one.candidates[0].slug in OF_A_STAND and one.begin_ns <= other.end_ns and other.begin_ns <= one.end_ns
     if one.kind is IncidentKind.STAND:
@@ -137,7 +143,7 @@ def _told_by(other: Incident, one: Incident) -> bool:
 
 
 def _grouped(incidents: list[Incident], begin_ns: int) -> Iterator[Incident]:
-    """Of many of one kind and cause the first, with how many follow: a bus with two cars on it has hundreds."""
+    """Yield the first of many incidents of one kind and cause, with how many follow: two cars on a bus make many."""
     alike: dict[object, list[Incident]] = {}
     for incident in incidents:
         alike.setdefault((incident.kind, incident.planned, incident.candidates[0].slug), []).append(incident)
@@ -164,7 +170,7 @@ def _closing(record: Record, part_ns: TimeRange) -> str:
 
 
 def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:
-    """What this log lacks to be explained whole, and which part of it is told."""
+    """Say what this log lacks to be explained whole, and which part of it is told."""
     if part_ns != ALWAYS:
         low_ns, high_ns = max(part_ns[0], record.begin_ns), min(part_ns[1], record.end_ns)
         low_s, high_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (low_ns, high_ns))

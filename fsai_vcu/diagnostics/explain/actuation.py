@@ -1,6 +1,6 @@
-"""Does the car do what it is asked? Torque, steering, brakes and wheels of a drive, for any AI stack.
+"""Check that the car does what it is asked: torque, steering, brakes and wheels of a drive, for any AI stack.
 
-Each check is a mask over the drive's cycles; one that holds for long enough is an incident with the cause's words.
+Each check is a mask over the drive's cycles; a check that holds for long enough is an incident with the cause's words.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def mismatches(record: Record, part_ns: TimeRange = ALWAYS) -> Iterator[Incident
 
 
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
-    """Where the car has reported it all along lately: what is missing is not a wrong answer."""
+    """Select the times at which the car has reported it all along lately: what is missing is not a wrong answer."""
     received = record.times(signal.can_id)
     if not len(received) or not len(record.series(signal)):
         return np.zeros(len(times), np.bool_)
@@ -106,7 +106,7 @@ def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
 
 
 def _longest(one: Mismatch, times: Ints, part_ns: TimeRange) -> tuple[int, int] | None:
-    """Its longest stretch of rows, if that is long enough: one finding a drive, not a hundred."""
+    """Select its longest stretch of rows, if that is long enough: one finding a drive, not a hundred."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], one.holds, [False])).astype(np.int8)))
     stretches = [(int(begin), int(end) - 1) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
     stretches = [rows for rows in stretches if times[rows[0]] <= part_ns[1] and times[rows[1]] >= part_ns[0]]
@@ -125,7 +125,7 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     fastest = wheels.max(axis=0)
     braked = np.maximum(column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)) > 0
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
-    # Of one who says NEUTRAL, or not RUNNING, no torque is to be expected: standing.py names that.
+    # No torque is to be expected with NEUTRAL, or without RUNNING: standing.py names that.
     meant = ~np.isin(column(sig.DIRECTION), _NO_DRIVE[0]) if len(record.series(sig.DIRECTION)) else ~braked
     if len(record.series(sig.MISSION_STATUS)):
         meant &= ~np.isin(column(sig.MISSION_STATUS), _NO_DRIVE[1])

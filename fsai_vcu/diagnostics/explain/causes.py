@@ -1,4 +1,4 @@
-"""Why a car brakes or does not start: from the cause to its words, and to what to record where the bus tells no more.
+"""Causes of brakes and of starts that fail: from each to its words, and to what to record where the bus tells no more.
 
 Causes that the AI side knows as well have its words: what the supervisor found (core/supervision/reasons.py), and what
 a start waits for (start_conditions.py). A cause is found by the rules of `endings.py` and `starting.py`; what to do
@@ -32,7 +32,7 @@ class Cause:
 
     @property
     def remedy(self) -> str:
-        """What to do, as the user manual would say it."""
+        """Remedy, as the user manual would say it."""
         return remedy_of(self.slug, self.setting)
 
 
@@ -63,7 +63,7 @@ _RECORD: Final[Mapping[str, str]] = {
     "torque_limit_zero": "the VCU's and the inverters' own logs",
     "stands": "both directions (0x510-0x514 and 0x520-0x526), from power-up on",
 }
-"""What to record next time."""
+"""Frames to record next time."""
 
 _OWN: Final[Mapping[str, str]] = {
     "stood_still": "this computer stood still: it was too busy for real time",

@@ -85,6 +85,7 @@ def emergencies(record: Record) -> Iterator[Incident]:
 
 
 def _emergency(record: Record, span: Span) -> Incident:
+    """Return the incident of an entry into EMERGENCY_BRAKE, with its causes."""
     t_ns = span.begin_ns
     before = None if span.before is None or span.before > sig.FINISHED else AsState(int(span.before)).label
     names = [signal.name for signal in sig.FAULTS if record.at(signal, t_ns)]
@@ -120,7 +121,7 @@ def _emergency(record: Record, span: Span) -> Incident:
 
 
 def _marks(record: Record, one: Candidate) -> list[ChainLink]:
-    """What 0x120 (2021) reports as missing belongs to a chain about the link."""
+    """Return the links for a chain about the link: what 0x120 (2021) reports as missing."""
     if not one.slug.startswith(("ai_message", "ai_silent", "handshake", "ai_unheard", "ai_comms")):
         return []
     return [
@@ -164,7 +165,7 @@ def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Can
 
 
 def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
-    """Why the AI computer asked for the emergency brake."""
+    """Return why the AI computer asked for the emergency brake."""
     first = record.series(sig.ESTOP).last(t_ns + 20 * MS)
     if first is None or first.end_ns < t_ns - BEHIND_NS:
         words = "the car names the AI computer's request, but no 0x510 in this log has ESTOP_REQUEST 1"
@@ -199,7 +200,7 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
 
 
 def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
-    """Why the link was lost."""
+    """Return why the link was lost."""
     gaps = record.gaps(sig.STATUS, HUNG_NS)
     place = bisect_left(gaps, t_ns - HUNG_NS, key=lambda gap: gap.over_ns)
     silence = gaps[place] if place < len(gaps) and (gaps[place].end_ns or NEVER_NS) <= t_ns + HUNG_NS else None
@@ -227,7 +228,7 @@ def _still(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
     length = ms(still.end_ns - still.begin_ns)
     words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
     stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))
-    # A VCU that hears nobody says so after its patience: one that says nothing for longer was not heard itself.
+    # A VCU that hears nobody says so after its patience: if it says nothing for longer, it was not heard itself.
     slug = "status_frozen" if t_ns - still.begin_ns >= COMMS_LOST_NS + DEAD_NS else "handshake_stands"
     return [candidate(slug, sureness, stands_at)]
 
@@ -306,7 +307,7 @@ def switched(
     to: float | None = 0,
     within_ns: int = JUST_BEFORE_NS,
 ) -> list[Candidate]:
-    """The cause for each change of the signal (to a value, if one is named) just before, or with it."""
+    """Return the cause for each change of the signal (to a value, if one is named) just before, or with it."""
     changes = record.changes(signal, t_ns - within_ns, t_ns, to)
     return [
         shown(
@@ -323,7 +324,7 @@ def switched(
 
 def _radio(record: Record, t_ns: int) -> Iterator[Candidate]:
     """The remote's own words (0x181), and what a Go that vanishes may mean."""
-    # Which of its two values means pressed is not in the interface: what held before the edge was released.
+    # The interface does not say which of its two values means pressed: before the edge it counts as released.
     for edge in record.changes(sig.REMOTE_ESTOP, t_ns - 2 * S, t_ns + REMOTE_LATE_NS)[:1]:
         step = sig.REMOTE_ESTOP.step(edge.begin_ns, f"the remote's ESTOP_STATUS {edge.before:g} → {edge.value:g}")
         yield shown("remote_estop", step)
@@ -384,7 +385,7 @@ def _impossible(span: Span) -> list[Candidate]:
 
 
 def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
-    """What is left when neither the car nor the frames name a cause."""
+    """Return the causes that are left when neither the car nor the frames name one."""
     t_ns = span.begin_ns
     if span.before is None:
         step = sig.AS_STATE.step(t_ns, "the first 0x520 of the log says EMERGENCY_BRAKE already")
@@ -508,6 +509,7 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
 
 
 def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
+    """Return the cause that made this start wrong, where one is seen: no mission, or too short a time in AS_READY."""
     if not record.at(sig.AMI, span.begin_ns):
         return [shown(Reason.NO_MISSION.slug, sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen"))]
     ready = record.span_at(sig.AS_STATE, span.begin_ns - 1)
@@ -525,7 +527,7 @@ def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
 
 
 def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> int | None:
-    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on.
+    """Return when the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on.
 
     driven: where in `brake` it was not 0.
     """
@@ -539,6 +541,7 @@ def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> i
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
+    """Return the incident of a drive that the AI computer's service brake ended, with its causes."""
     brake = sig.BRAKE_REQ_F.step(
         t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for the rest of the run"
     )
@@ -558,7 +561,7 @@ def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
 
 
 def _held_before(record: Record, t_ns: int) -> int | None:
-    """Since when torque was 0 and steering and brake stood still, if for about the 200 ms of stale commands."""
+    """Return since when torque was 0 and steering and brake stood still, if for about the 200 ms of stale commands."""
     signals, until_ns = (sig.TORQUE_F, sig.TORQUE_R, sig.STEER), t_ns - SLACK_NS
     for signal in signals:
         values = record.series(signal).between(t_ns - HELD_NS, until_ns).values

@@ -1,4 +1,4 @@
-"""What the frames show of the moments before: how the link was lost, and why the AI computer asked.
+"""Evidence that the frames give of the moments before: how the link was lost, and why the AI computer asked.
 
 The conditions and times of an ESTOP_REQUEST or a service-brake stop are those of the supervisor (core/supervision): its
 own checks are run over the log.
@@ -71,21 +71,21 @@ def dead_bus(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
 
 
 def frozen_words(record: Record, span: Span) -> str:
-    """Of one of the record's stretches with a frozen 0x520."""
+    """Describe a stretch of the record with a frozen 0x520."""
     state = label(sig.AS_STATE, record.at(sig.AS_STATE, span.begin_ns))
     length = ms(span.end_ns - span.begin_ns)
     return f"0x520 repeats itself for {length} in {state}, HANDSHAKE stands though it is echoed"
 
 
 def error_text(record: Record, t_ns: int) -> str:
-    """What the error frame at `t_ns` says."""
+    """Return what the error frame at `t_ns` says."""
     frames = record.frames
     rows = np.flatnonzero(((frames.flags & ERROR) != 0) & (frames.t_ns == t_ns))
     return ", ".join(error_words(int(frames.can_id[rows[0]]), frames.payload(int(rows[0]))))
 
 
 def link_losses(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
-    """What explains AI_COMMS_LOST at `t_ns`, the likeliest first. Empty where the frames show a sound link.
+    """Return what explains AI_COMMS_LOST at `t_ns`, the likeliest first. Empty where the frames show a sound link.
 
     `sureness`: how sure it is that the link was lost at all.
     """
@@ -278,7 +278,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
 def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
     """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
     if (record.fastest_wheel.between(t_ns - BELIEVED_NS, t_ns).values >= CONFIG.wheel_max_rpm + 1).all():
-        return []  # none of them was, nor is one that never came
+        return []  # none of them was, nor is a frame that never came
     frames: list[Any] = []
     for kind, can_id, signals in ((messages.WheelCounts, 0x526, sig.PULSES), (messages.WheelSpeeds, 0x525, sig.WHEELS)):
         times = record.times(can_id)

@@ -1,4 +1,4 @@
-"""What an explanation is made of: events of the timeline, and incidents with their candidate causes."""
+"""Parts of an explanation: events of the timeline, and incidents with their candidate causes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fsai_vcu.interface.bus_table import BY_ID
 
 
 class Weight(IntEnum):
-    """How much an event matters to a reader."""
+    """Weight of an event to a reader."""
 
     NOTE = 0
     STATE = 1
@@ -37,7 +37,7 @@ class TimelineEntry:
 
 
 class IncidentKind(Enum):
-    """What happened: its name, the words of the heading, and what one and several of it are called."""
+    """Kind of an incident: its name, the words of the heading, and what one and several of it are called."""
 
     EMERGENCY = ("emergency_brake", "emergency brake", "emergency brake", "emergency brakes")
     ABORT = ("abort", "the drive was cut off", "drive cut off", "drives cut off")
@@ -56,7 +56,7 @@ class IncidentKind(Enum):
 
 
 class Sureness(IntEnum):
-    """How well a candidate is founded."""
+    """Sureness of a candidate: how well it is founded."""
 
     POSSIBLE = 0
     FITS = 1
@@ -155,7 +155,7 @@ class Incident:
 
 
 class Lasting(Protocol):
-    """What is of some time."""
+    """Thing that lasts some time."""
 
     @property
     def begin_ns(self) -> int: ...
@@ -169,12 +169,12 @@ ALWAYS: Final[TimeRange] = (-math.inf, math.inf)
 
 
 def within(part_ns: TimeRange, things: Iterable[Some]) -> Iterator[Some]:
-    """Those with a moment in that time."""
+    """Yield the things with a moment in that time."""
     return (one for one in things if one.begin_ns <= part_ns[1] and one.end_ns >= part_ns[0])
 
 
 def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
-    """The best founded first; of equals the earliest. One of each cause."""
+    """Rank the candidates: the best founded first, of equals the earliest, one of each cause."""
     found: dict[str, Candidate] = {}
     for one in sorted(candidates, key=lambda c: (-c.sureness, c.t_ns)):
         found.setdefault(one.slug, one)
@@ -200,7 +200,7 @@ class Explanation:
         return tuple(self.timeline())
 
     def to_record(self, cause: Cause) -> str:
-        """What to record next time for that cause; empty where this log has it, or this car sends no such thing."""
+        """Return what to record next time for that cause; '' where this log has it, or this car sends no such thing."""
         wanted = {int(number, 16) for number in re.findall(r"0x([0-9A-F]{3})", cause.record)}
         lacking = {i for i in wanted if self.heading["revision"] in BY_ID[i].period_ns} - self.recorded
         if wanted and len(lacking) < len(wanted):

@@ -1,4 +1,4 @@
-"""Each sentence of a cause is held against the frames that it cites; one that they deny is not said.
+"""Each sentence of a cause is held against the frames that it cites; a sentence that they deny is not said.
 
 A rule finds a cause, and its words say more than the rule looked at: that a switch stayed off, that a limit was 0 all
 the time, that something never came. These claims are written beside the words, and checked here, in one place.

@@ -1,8 +1,8 @@
 """A log as explanations read it: signals over time, gaps, the handshake, and who else was on the bus.
 
 Everything here comes from the frames alone, of both directions. Times are nanoseconds of the log's clock, made
-monotonic: where that clock was set back, what follows is moved forward by as much. Where it was set forward, whoever
-judges the log has moved the frames (verdict/own_faults.py).
+monotonic: where that clock was set back, what follows is moved forward by as much. Where it was set forward, the judge
+of the log has moved the frames (verdict/own_faults.py).
 """
 
 from __future__ import annotations
@@ -89,11 +89,11 @@ class Spans(Sequence[Span]):
         return chain.from_iterable(self.between(low, low + _AT_ONCE) for low in range(0, len(self), _AT_ONCE))
 
     def of(self, value: float) -> Iterator[Span]:
-        """Those of this value."""
+        """Yield the spans of this value."""
         return map(self.__getitem__, np.flatnonzero(self.values == value).tolist())
 
     def between(self, low: int, high: int) -> Iterator[Span]:
-        """Those of the slice."""
+        """Return the spans of the slice."""
         apart = self.apart[low : high + 1].tolist()
         values = [*([] if low else [None]), *self.values[max(low - 1, 0) : high + 1].tolist(), None]
         before = [None if alone else value for alone, value in zip(apart, values, strict=False)]
@@ -121,11 +121,14 @@ class Series:
 
     @cached_property
     def spans(self) -> Spans:
-        """What was sent, change by change."""
+        """Spans of what was sent, change by change."""
         return self.spans_within(np.iinfo(np.int64).max)
 
     def spans_within(self, longest_ns: int) -> Spans:
-        """What was sent, change by change; where no frame came for longer, a span ends with the last one before."""
+        """Return the spans of what was sent, change by change.
+
+        Where no frame came for longer than `longest_ns`, a span ends with the last frame before.
+        """
         if not len(self.t_ns):
             return NO_SPANS
         missing = np.diff(self.t_ns, prepend=self.t_ns[0]) > longest_ns
@@ -140,7 +143,9 @@ class Series:
         return self.spans[place] if place >= 0 else None
 
     def since(self, times: Ints) -> Ints:
-        """When the value in force at each of `times` began, the first one before; 0 where there is no such signal."""
+        """Return when (ns) the value in force at each of `times` began, or the first value after it; 0 without the
+        signal.
+        """
         begin_ns = self.spans.begin_ns
         places = np.maximum(np.searchsorted(begin_ns, times, side="right") - 1, 0)
         return begin_ns[places] if len(self) else np.zeros_like(times)
@@ -181,11 +186,11 @@ class Gap(NamedTuple):
 
     @property
     def over_ns(self) -> int:
-        """When it ended, or the log did."""
+        """Time (ns) at which it ended, or the log did."""
         return self.begin_ns + self.length_ns
 
     def words(self) -> str:
-        """How long it lasted."""
+        """Words for how long it lasted."""
         return f"to the end of the log ({ms(self.length_ns)})" if self.end_ns is None else f"for {ms(self.length_ns)}"
 
 
@@ -291,11 +296,14 @@ class Record:
     # ------------------------------------------------------------ signals
 
     def has(self, can_id: int) -> bool:
-        """Whether the log has that message, whole."""
+        """Return true where the log has that message, whole."""
         return can_id in self._rows
 
     def lacks(self, can_id: int) -> bool:
-        """Whether no whole frame of that message came; one that the database does not name did come."""
+        """Return true where no whole frame of that message came.
+
+        A frame that the database does not name counts as received.
+        """
         return not self.has(can_id) and can_id not in self.unknown_ids
 
     def never_right(self, can_id: int) -> bool:
@@ -304,7 +312,7 @@ class Record:
 
     @property
     def ai_speaks(self) -> bool:
-        """Whether the log has any whole message of the AI computer."""
+        """Return true where the log has any whole message of the AI computer."""
         return any(map(self.has, AI_IDS))
 
     @property
@@ -314,7 +322,7 @@ class Record:
 
     @cached_property
     def ai_is_theirs(self) -> bool:
-        """Whether another program than this software's bridge drives: it sends in another order, or in another rhythm.
+        """Return true where another program than this software's bridge drives: by its order or its rhythm.
 
         The bridge sends 0x510 to 0x514 in the order of their ids, together, every 10 ms. Where two programs send, or
         too little was heard, that is not told.
@@ -328,14 +336,14 @@ class Record:
         return not (0.9 <= turns / max(cycles, 1) <= 1.1 and 0.8 <= period_ns / PERIOD_NS <= 1.2)
 
     def times(self, can_id: int) -> Ints:
-        """When that message came."""
+        """Return when (ns) that message came."""
         if can_id not in self._times:
             rows = self._rows.get(can_id)
             self._times[can_id] = NOTHING.t_ns if rows is None else self.frames.t_ns[rows]
         return self._times[can_id]
 
     def newest_ns(self, can_id: int, at_ns: Ints | int) -> Ints:
-        """When that message came last, before or at each of these times; -1 s: never."""
+        """Return when (ns) that message came last, before or at each of these times; -1 s: never."""
         times = np.append(-S, self.times(can_id))
         return np.asarray(times[np.searchsorted(times, at_ns, side="right") - 1])
 
@@ -347,6 +355,7 @@ class Record:
         return self._series[signal]
 
     def _read(self, signal: Signal) -> Series:
+        """Return the series of a signal; empty where the log or the database does not have it."""
         layout = self.decoder.databases.by_name(signal.message)
         rows = self._rows.get(layout.key) if layout is not None else None
         if layout is None or rows is None:
@@ -364,7 +373,7 @@ class Record:
         return Series(found.t_ns, found.values.astype(np.float64))
 
     def matching(self, patterns: Sequence[str]) -> dict[str, list[tuple[str, Series]]]:
-        """By unit, (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ? means."""
+        """Group (MESSAGE.NAME, series) of the log's signals that a NAME or MESSAGE.NAME with * and ? means, by unit."""
         groups: dict[str, list[tuple[str, Series]]] = {}
         for layout in self.decoder.databases.layouts.values():
             for signal in layout.signals_like(patterns):
@@ -399,7 +408,7 @@ class Record:
 
     @cached_property
     def middle_wheel(self) -> Series:
-        """The median of the four wheels, rpm: one that reads wrong does not change it much."""
+        """The median of the four wheels, rpm: a wheel that reads wrong does not change it much."""
         wheels = [self.series(signal) for signal in sig.WHEELS]
         return Series(wheels[0].t_ns, np.median([wheel.values for wheel in wheels], axis=0))
 
@@ -418,7 +427,7 @@ class Record:
     # ------------------------------------------------------------ the link
 
     def gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
-        """Where that message was missing for more than `longest_ns`, within the log and at its end."""
+        """Return the gaps in which that message was missing for longer than `longest_ns`, also at the log's end."""
         if (can_id, longest_ns) not in self._gaps:
             self._gaps[can_id, longest_ns] = self._find_gaps(can_id, longest_ns)
         return self._gaps[can_id, longest_ns]
@@ -435,7 +444,7 @@ class Record:
     def power_cycles(self) -> Sequence[PowerCycle]:
         """Times in which the car was switched off and on, before or after its runs: as it has to be, and no fault.
 
-        It comes back in AS_INIT or AS_OFF, and what it counts begins again. One that was about to drive, or is back
+        It comes back in AS_INIT or AS_OFF, and what it counts begins again. A car that was about to drive, or is back
         within 3 s with its switches on, restarted by itself.
         """
         found = []
@@ -460,7 +469,7 @@ class Record:
         return tuple((int(times[place]), int(times[place + 1])) for place in np.flatnonzero(np.diff(times) > DEAD_NS))
 
     def silence_in(self, gap: Gap) -> bool:
-        """Whether a silence of everybody is nearly all of this gap of one message."""
+        """Return true where a silence of everybody is nearly all of this gap of one message."""
         shared = (min(end_ns, gap.over_ns) - max(begin_ns, gap.begin_ns) for begin_ns, end_ns in self.silences)
         return any(length_ns > DEAD_SHARE * gap.length_ns for length_ns in shared)
 
@@ -476,7 +485,7 @@ class Record:
 
     @property
     def frozen(self) -> Sequence[Span]:
-        """Where 0x520 came and repeated itself: for 100 ms and more HANDSHAKE stood though its echo was there.
+        """Spans in which 0x520 came and repeated itself: for 100 ms and more HANDSHAKE stood though its echo was there.
 
         It may stand where the VCU misses the echo (AI_COMMS_LOST), where the car does not drive itself (0x120 says so),
         after a drive, and while the VCU comes up: for a second where the log has no toggle before, at 0 in AS_INIT for
@@ -486,7 +495,7 @@ class Record:
 
     @property
     def perhaps_frozen(self) -> Sequence[Span]:
-        """The same for a second and more with the ASMS off: it froze, or it stands while the car is driven by hand.
+        """Spans like `frozen` of a second and more with the ASMS off: it froze, or the car is driven by hand.
 
         Nothing else in 0x520 changed meanwhile either, and 0x120 does not say that the car does not drive itself.
         """
@@ -494,6 +503,7 @@ class Record:
 
     @cached_property
     def _standing(self) -> tuple[Sequence[Span], Sequence[Span]]:
+        """Find the spans of `frozen` and those of `perhaps_frozen`."""
         asked, echo, times = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO), self.times(sig.STATUS)
         if len(times) < 2 or np.median(np.diff(times)) > 1.5 * PERIOD_NS:
             return (), ()
@@ -534,12 +544,12 @@ class Record:
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:
-        """Where somebody else sends on the AI computer's ids, in the order of time."""
+        """Senders besides the AI computer on its ids, in the order of time."""
         return second_senders(self.frames, self.decoder.databases)
 
     @cached_property
     def second_cars(self) -> Sequence[SecondSender]:
-        """While somebody else sends the car's messages too: what these say then is of no one car."""
+        """Times in which somebody else sends the car's messages too: what these say then is of no one car."""
         return second_cars({can_id: self.times(can_id) for can_id in VCU_IDS})
 
 

@@ -30,7 +30,7 @@ def seconds(story: Explanation, t_ns: int) -> float:
 
 
 def extent(story: Explanation) -> str:
-    """How long the log is, of which bus, and when it began."""
+    """Say how long the log is, of which bus, and when it began."""
     heading, began = story.heading, int(story.heading["begin_ns"])
     when = f", {datetime.fromtimestamp(began / 1e9, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
     return f"{heading['seconds']:.1f} s, {heading['frames']} frames on {heading['channel']}{when}"
@@ -71,6 +71,7 @@ def text_lines(story: Explanation, name: str, *, timeline: bool = False, colour:
 
 
 def _incident_lines(story: Explanation, incident: Incident, paint: Any, *, more: bool) -> Iterator[str]:
+    """Yield the lines of an incident; `more`: also what to record next time."""
     colour = "33;1" if incident.planned else "31;1"
     planned = " (as planned)" if incident.planned else ""
     heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"
@@ -99,7 +100,7 @@ def _chain(incident: Incident, one: Candidate, paint: Any) -> Iterator[str]:
 
 
 def before(t_ns: int, step: ChainLink) -> str:
-    """How long before (or after) the incident."""
+    """Say how long before (or after) the incident the step was."""
     apart_ms = (step.t_ns - t_ns) / 1e6
     if abs(apart_ms) < 0.05:
         return "0 ms"

@@ -83,7 +83,7 @@ BRAKE_REQ_R: Final = Signal("AI2VCU_Brake", "HYD_PRESS_R_REQ_pct")
 SYSTEM: Final = "VCU_STATUS"
 SM_SYS: Final = Signal(SYSTEM, "SM_SYS")
 DRIVE_AUTONOMOUS: Final = 4.0  # of SM_SYS (interface specification v4.0)
-# What 0x120 (2021) reports as missing
+# Messages that 0x120 (2021) reports as missing
 MISSED: Final = {
     **{
         Signal(SYSTEM, f"R1_AI2VCU_{name}_TIMEOUT_ERROR"): str(BY_ID[can_id])
@@ -102,7 +102,7 @@ ACCUMULATORS: Final = (
     Signal("VCU2OPUS_2", "EBS_REAR_ACC_PRESS"),
 )
 
-# Where a number has the car's own word
+# Numbers that have the car's own word
 LABELS: Final[dict[Signal, type[CarEnum]]] = {
     Signal(message.dbc_name, one.signal): one.holds
     for message in (AiStatus, VcuStatus, VcuBrake)

@@ -1,4 +1,4 @@
-"""Why a car in AS_DRIVING does not drive: somebody does not let it, or nobody asks it to.
+"""Causes for which a car in AS_DRIVING does not drive: somebody does not let it, or nobody asks it to.
 
 A stand is a time without motion that is longer than a start and its patience; what held nearly all of that time is its
 cause. Whatever the reason, it is one: a car that stands in AS_DRIVING is never passed over.

@@ -1,4 +1,4 @@
-"""Why the car does not start, in a log or at one moment.
+"""Causes for which the car does not start, in a log or at one moment.
 
 The conditions are those of `start_conditions.py`; here is what a log shows of each, and what was missing where the car
 was to start and did not.
@@ -67,6 +67,7 @@ def refusals(record: Record) -> Iterator[Incident]:
 
 
 def _never_ready(record: Record) -> Iterator[Incident]:
+    """Yield an incident for each stay in AS_INIT and AS_OFF in which the car was to start and did not."""
     for begin_ns, end_ns, after_run in _off_stays(record):
         if end_ns - begin_ns < PATIENCE_NS:
             continue
@@ -115,8 +116,10 @@ def _off_stays(record: Record) -> Iterator[tuple[int, int, bool]]:
 
 
 def _judged_at(record: Record, begin_ns: int, end_ns: int) -> int:
-    """The last moment with ASMS and TSMS on, where they were on for as long as a start may take: what was missing then
-    was missing to start. Else the end: the switches themselves kept the car from it."""
+    """Return the last moment with ASMS and TSMS on, where they were on for as long as a start may take.
+
+    What was missing then was missing to start. Else return the end: the switches themselves kept the car from it.
+    """
     asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (sig.AS_SWITCH, sig.TS_SWITCH))
     if len(asms) != len(tsms) or not len(asms):
         return end_ns
@@ -236,10 +239,10 @@ def _no_go(record: Record, span: Span, end_ns: int) -> Iterator[Candidate]:
 
 
 def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> Iterator[Obstacle]:
-    """What stands between now and driving, and what to do, what must be put right first in front.
+    """Yield the obstacles between now and driving, and what to do; the one to put right first comes first.
 
-    In AS_DRIVING only that the car stands. emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that
-    was seen.
+    In AS_DRIVING it yields only that the car stands. emergency: the newest entry into EMERGENCY_BRAKE with its causes,
+    where that was seen.
     """
     span = record.span_at(sig.AS_STATE, now_ns)
     if span is None and record.wrong_length.get(sig.STATUS):

@@ -110,7 +110,7 @@ def _entry(signal: Signal, t_ns: int, topic: str, text: str, weight: Weight = NO
 
 
 def _speakers(record: Record) -> Iterator[TimelineEntry]:
-    """Who sends first, and when."""
+    """Yield the first frames of car and AI computer, with their times."""
     for can_id, topic, who in (
         (sig.STATUS, "power", "the first 0x520 of the car"),
         (0x510, "AI", "the first 0x510 of the AI computer"),
@@ -131,6 +131,7 @@ def _switches(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _states(record: Record) -> Iterator[TimelineEntry]:
+    """Yield the changes of the states that the car and the AI computer report."""
     for signal, topic, usual in STATES:
         if signal in (sig.STATUS_BRK, sig.STATUS_EBS) and not record.series(signal).values.any():
             continue
@@ -179,7 +180,7 @@ def _mode(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _motion(record: Record) -> Iterator[TimelineEntry]:
-    """When the car sets off and when it stands."""
+    """Yield the times at which the car sets off and stands."""
     wheels = record.fastest_wheel
     turning = Series(wheels.t_ns, (wheels.values >= STANDING_RPM).astype(np.float64))
     for span in turning.spans:
@@ -196,7 +197,7 @@ def _motion(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _first_requests(record: Record) -> Iterator[TimelineEntry]:
-    """What the AI side's gate lets through in AS_DRIVING: the first torque, the brake's release."""
+    """Yield what the AI side's gate lets through in AS_DRIVING: the first torque, the brake's release."""
     for span in record.series(sig.AS_STATE).spans:
         if span.value != sig.DRIVING or span.before is None:
             continue

@@ -42,7 +42,7 @@ def _texts(column: Column, values: Values, *, words: bool) -> Texts:
     numbers = values.data
     choices = column.choices if words else {}
     if choices:
-        # Floats by their bits: -0.0 is not 0.0 for who reads the text.
+        # Floats by their bits: -0.0 is not 0.0 for a reader of the text.
         keys = numbers.view(np.int64) if numbers.dtype == np.float64 else numbers
         _, first, where = np.unique(keys, return_index=True, return_inverse=True)
         words_of = {value: _quoted(cell(word)) for value, word in choices.items()}

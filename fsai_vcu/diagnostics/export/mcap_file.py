@@ -173,6 +173,7 @@ class McapTables:
             row = upto
 
     def _end_chunk(self) -> None:
+        """End the chunk in hand, if there is one, and write it with its index to the stream."""
         if not self._messages:
             return
         numbers, times, places = (np.concatenate(columns) for columns in zip(*self._messages, strict=True))
@@ -200,7 +201,7 @@ class McapTables:
         self._stream.write(out.end())
 
     def _number_of(self, topic: RosTopic) -> int:
-        """Of the topic's channel, registered when it is first met."""
+        """Return the number of the topic's channel, which is registered when it is first met."""
         key, kind = (topic.name, topic.type_name), (topic.type_name, topic.definition)
         if kind not in self._types:
             number = self._types[kind] = len(self._types) + 1

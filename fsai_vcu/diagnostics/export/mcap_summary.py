@@ -1,4 +1,4 @@
-"""What stands at the end of an MCAP file: its schemas, channels and counts, and where its chunks are."""
+"""Summary at the end of an MCAP file: its schemas, channels and counts, and where its chunks are."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CHECKSUM_BYTES = 4
 
 
 class Summary:
-    """What is known of the chunks so far."""
+    """Summary of the chunks so far."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}

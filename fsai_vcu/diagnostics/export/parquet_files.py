@@ -67,6 +67,9 @@ def _array(column: Column, values: Values, kind: Any) -> Any:
 
 
 def _numbers(numbers: Any, kind: Any, mask: Any = np.ma.nomask) -> Any:
-    """From their own memory. `pa.array` would import pandas to ask whether they are of it: 0.3 s where there is one."""
+    """Return the numbers as an array of their own memory.
+
+    `pa.array` would import pandas to ask whether they are of it: 0.3 s where there is one.
+    """
     present = pa.py_buffer(np.packbits(~mask, bitorder="little")) if np.any(mask) else None
     return pa.Array.from_buffers(kind, len(numbers), [present, pa.py_buffer(np.ascontiguousarray(numbers))])

@@ -38,7 +38,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """What is known of a table before its rows. `about` is for people. `channel` is the bus, "" for all of them."""
+    """Description of a table, known before its rows. `about` is for people. `channel` is the bus, "" for all."""
 
     name: str
     columns: tuple[Column, ...]
@@ -73,7 +73,7 @@ def table_of(layout: MessageLayout, name: str, channel: str) -> Table:
     columns = []
     for signal in layout.signals:
         choices = signal.choices if signal.scale == 1 and signal.offset == 0 else {}
-        # Of a message that is not plain (multiplexed, say) a frame need not have every signal.
+        # A frame of a message that is not plain (multiplexed, say) need not have every signal.
         columns.append(Column(signal.name, signal.unit, kind_of(signal), not layout.plain, choices))
     senders = f" from {', '.join(layout.senders)}" if layout.senders else ""
     digits = 8 if layout.extended else 3
@@ -119,7 +119,7 @@ class Tables:
         self.left_out[_NO_DATA] += int(((frames.flags & (ERROR | REMOTE)) != 0).sum())
 
     def _with_values(self, rows: Rows) -> Rows:
-        """Without the frames of which not one signal could be decoded."""
+        """Return the rows without the frames of which not one signal could be decoded."""
         known = ~np.logical_and.reduce([np.ma.getmaskarray(values) for values in rows.values])
         self.left_out[_UNDECODABLE] += int((~known).sum())
         return Rows(rows.table, rows.t_ns[known], [values[known] for values in rows.values])

@@ -31,6 +31,7 @@ class WideTable:
     """Iterated once: its rows, some ten thousand at a time. notes: lines for people."""
 
     def __init__(self, tables: Tables, frames: Frames, step_ns: int) -> None:
+        """Prepare the rows of `frames`, in order of time, at multiples of `step_ns`."""
         self._step_ns = step_ns
         self.notes: list[str] = []
         backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))
@@ -75,7 +76,7 @@ class WideTable:
 
 
 def _values(source: Rows, instants: Ints) -> Iterator[Values]:
-    """Of each signal the last value it had, for not every frame need have all; and the age of the last frame."""
+    """Yield the last value that each signal had, for not every frame need have all; and the age of the last frame."""
     last = np.searchsorted(source.t_ns, instants, side="right") - 1
     rows = np.arange(len(source))
     for values in source.values:

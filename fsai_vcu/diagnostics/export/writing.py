@@ -23,14 +23,14 @@ from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError
 
 NEEDS: Final = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
-"""What has to be installed for a format; the extra has the format's name."""
+"""Package that must be installed for a format; the extra has the format's name."""
 _A_FILE_EACH: Final = ("csv", "parquet")
 _AT_ONCE: Final = 200_000  # frames
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What became of an export. left_out: frames that are in no table, and why. notes: lines for people."""
+    """Result of an export. left_out: frames that are in no table, and why. notes: lines for people."""
 
     tables: int
     rows: int
@@ -39,7 +39,7 @@ class Written:
 
 
 def check_format(form: str) -> None:
-    """Raises UserError with the line that installs what is missing."""
+    """Raise UserError with the line that installs what is missing."""
     package = NEEDS.get(form)
     if package is None:
         return
@@ -100,7 +100,7 @@ def export(
 def _writer(
     form: str, path_of: Callable[[Table | None], Path], frames: Frames, words: bool
 ) -> AbstractContextManager[Callable[[Rows], None]]:
-    """What takes the rows; what it wrote is whole when it ends without an error."""
+    """Return the writer that takes the rows; what it wrote is whole when it ends without an error."""
     if form == "csv":
         from fsai_vcu.diagnostics.export.csv_files import csv_files
 

@@ -90,7 +90,7 @@ class AscRows(Rows):
         return self._added_up if self._relative else None
 
     def _added_up(self, t_ns: Ints) -> Ints:
-        """The times of frames whose rows say differences; a date, or a row that takes time, may come behind them."""
+        """Add up the times of frames whose rows say differences; a date, or a row that takes time, may follow."""
         if self._now_ns + float(t_ns.sum(dtype=np.float64)) > MAX_NS:
             t_ns = np.minimum(np.cumsum(t_ns, dtype=np.float64), float(MAX_NS - self._now_ns)).astype(np.int64)
         else:
@@ -108,6 +108,7 @@ class AscRows(Rows):
         return "its last trigger block has no end" if self._block_open else ""
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line; take in lines of the head, and skip those that are no frames."""
         text = line.strip()
         lower = text.lower()
         if lower.startswith(("date ", "begin triggerblock")):
@@ -144,6 +145,7 @@ class AscRows(Rows):
             self._start_ns = self._now_ns = begin_ns
 
     def _event(self, text: str) -> LogFrame | None:
+        """Return the frame of a row: CAN FD, classic, error or state of a controller."""
         words = text.split()
         lower = text.lower()
         if words[0] == "CANFD" and len(words) > 3:
@@ -169,6 +171,7 @@ class AscRows(Rows):
         raise ValueError("not a row of ASC")
 
     def _classic(self, channel: str, words: list[str]) -> LogFrame | None:
+        """Return the classic frame of a row, split into words."""
         way, kind = words[2].lower(), words[3].lower()
         id_text, extended = _identifier(words[1])
         remote = kind == "r"
@@ -214,7 +217,7 @@ class AscRows(Rows):
         return self._on_the_bus(frame, way)
 
     def _on_the_bus(self, frame: LogFrame, way: str) -> LogFrame | None:
-        """The frame, unless it was only to be sent; one that nobody took is an error of the bus."""
+        """The frame, unless it was only to be sent; a frame that nobody took is an error of the bus."""
         if way == "txrq":
             self.told.note(REQUESTS)
             return None

@@ -1,6 +1,6 @@
 """Vector's binary format BLF: a head, then containers, most of them packed, of one stream of objects.
 
-Every length is checked: one that does not lead forward, or further than what is ever written, ends the reading.
+Every length is checked: a length that does not lead forward, or further than what is ever written, ends the reading.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class BlfFile:
     """Reads one file, once."""
 
     def __init__(self, stream: IO[bytes], told: Problems, name: str) -> None:
-        """Raises ReadingEnds."""
+        """Read the head. Raises ReadingEnds."""
         self._stream = stream
         self._told = told
         self._name = name
@@ -136,7 +136,7 @@ class BlfFile:
             raise ReadingEnds("cut off in an object")
 
     def _objects_in(self, data: bytes) -> Iterator[_Object | Frames]:
-        """Objects of one container; one that goes on in the next is kept for it."""
+        """Objects of one container; an object that goes on in the next is kept for it."""
         at = singly = 0
         while True:
             found = data.find(b"LOBJ", at, at + _PADDING + 4)
@@ -204,6 +204,7 @@ class BlfFile:
         )
 
     def _frame(self, kind: int, version: int, content: bytes) -> LogFrame | None:
+        """Return the frame of an object; None for an object that is no frame, which is noted."""
         if kind not in _READ:
             name = _NAMES.get(kind)
             self._told.note(f"an object of type {kind}{f' ({name})' if name else ''}, which is no frame")

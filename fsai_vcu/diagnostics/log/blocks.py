@@ -148,7 +148,7 @@ def _singly(
     *,
     go_on: bool,
 ) -> int | None:
-    """Read lines one by one, up to the first one that changes how the following ones are read: that line, or None.
+    """Read lines one by one, up to the first that changes how the following ones are read: that line, or None.
 
     go_on: that does not end it, unless the times of what follows are others; the last line stands for it.
     """
@@ -203,7 +203,7 @@ def _next_shape(
 
 
 def _likely(text: Characters, starts: Ints, shape: _Shape) -> Mask:
-    """Which of the lines may have the shape: what stands around the identifier and the time's point is where it is."""
+    """Select the lines that may have the shape: the characters around identifier and decimals are in place."""
     likely = np.ones(len(starts), np.bool_)
     for place in {shape.decimals.start - 1, shape.id.start - 1, shape.id.stop}:
         if place >= 0:

@@ -73,7 +73,7 @@ def read_lines(
 
 
 def too_long(line: bytes) -> str:
-    """What is said of a line that is longer than `LONGEST_LINE`, or of its beginning."""
+    """Describe a line that is longer than `LONGEST_LINE`, given it or its beginning."""
     return f"longer than {LONGEST_LINE} characters: {_beginning(line)}"
 
 
@@ -83,7 +83,7 @@ def _beginning(line: bytes) -> str:
 
 
 def whole_line(line: str) -> bool:
-    """Whether a line without its end has a whole frame: one that cannot be longer than it is."""
+    """Return true where a line without its end has a whole frame, which cannot be longer than it is."""
     digits = line.partition("#")[2].strip()
     return len(digits) == 2 * MAX_CLASSIC_DLC or digits.endswith((" R", " T"))
 
@@ -115,6 +115,7 @@ def _from_log_line(found: re.Match[str]) -> LogFrame:
 
 
 def _from_screen_line(found: re.Match[str]) -> LogFrame:
+    """Return the frame of a matched line of candump's screen output."""
     can_id, extended, error = _identifier(found["id"])
     length = int(found["length"])
     text = found["data"] or ""
@@ -156,7 +157,7 @@ def _time_ns(seconds: str, fraction: str) -> int:
 
 
 def _screen_time_ns(text: str | None) -> int:
-    """0 where candump wrote no times."""
+    """Read the time of a line of the screen (ns); 0 where candump wrote no times."""
     if text is None:
         return 0
     found = _SECONDS.fullmatch(text.strip())
@@ -223,7 +224,7 @@ def _identifier_text(frame: LogFrame) -> str:
 
 
 def _payload_text(frame: LogFrame) -> str:
-    """What stands behind the '#' in a log of candump."""
+    """Return the text behind the '#' in a log of candump."""
     if frame.remote:
         return f"R{frame.length or ''}"
     if frame.fd:

@@ -53,6 +53,7 @@ class CandumpRows(Rows):
         return whole_line(line)
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line; count lost frames that candump tells, and skip what is beside the frames."""
         try:
             return parse_line(line)
         except ValueError as error:

@@ -64,7 +64,7 @@ def _uncooked(link: int, channel: str, packet: bytes) -> tuple[int, int, str, by
 
 
 def _frame(t_ns: int, channel: str, packet: bytes, order: str, sent: bool | None) -> LogFrame:
-    """order: of the identifier's bytes; in a cooked capture that of the computer that captured."""
+    """Read a frame. order: of the identifier's bytes; in a cooked capture that of the computer that captured."""
     number, length, marks = struct.unpack_from(f"{order}LBB", packet)
     data = packet[8 : 8 + length]
     fd = bool(marks & 4) or len(packet) == 72
@@ -83,6 +83,7 @@ _Packets = Iterator[tuple[int, str, int, bytes, int, str]]
 
 
 def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
+    """Yield the packets of a pcap file."""
     head = stream.read(20)
     if len(head) < 20:
         raise ReadingEnds("cut off in its head")
@@ -100,6 +101,7 @@ def _pcap(stream: IO[bytes], order: str, unit_ns: int) -> _Packets:
 
 
 def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
+    """Yield the packets of a pcapng file, of all its interfaces."""
     order, kind = "<", _SECTION
     interfaces: list[tuple[int, str, int]] = []  # link type, channel, units a second
     first = True

@@ -25,7 +25,7 @@ class Texts(NamedTuple):
         return Texts(self.items.take(rows), self.lengths if isinstance(self.lengths, int) else self.lengths.take(rows))
 
     def put(self, rows: Places, new: Texts) -> Texts:
-        """With the new texts in these rows; those that were there are written over."""
+        """Return the texts with the new texts in these rows; those that were there are written over."""
         items = widened(self.items, new.items.itemsize)
         items[rows] = widened(new.items, items.itemsize)
         self.lengths[rows] = new.lengths  # type: ignore[index]
@@ -36,18 +36,18 @@ Part = bytes | Texts
 
 
 def characters(items: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Of each item a row."""
+    """Return a row of characters for each item."""
     return items.view(np.uint8).reshape(len(items), items.itemsize)
 
 
 def items_of(rows: npt.NDArray[Any]) -> Items:
-    """Of each row an item."""
+    """Return an item for each row."""
     rows = np.ascontiguousarray(rows)
     return rows.view(f"V{rows.itemsize * rows.shape[1]}").ravel()
 
 
 def widened(items: Items, width: int) -> Items:
-    """With zeros in front, where they are not so wide."""
+    """Return the items with zeros in front, where they are not so wide."""
     more = width - items.itemsize
     return items_of(np.pad(characters(items), ((0, 0), (more, 0)))) if more > 0 else items
 
@@ -77,7 +77,7 @@ def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Se
 
 
 def length_of(parts: Sequence[Part]) -> Places | int:
-    """Of all the parts together, in each row."""
+    """Return the length of all the parts together, in each row."""
     return sum((len(part) if isinstance(part, bytes) else part.lengths for part in parts), start=0)
 
 
@@ -100,12 +100,12 @@ def put_parts(out: bytearray, ends: Places, parts: Sequence[Part], before: int =
 
 
 def _certain(part: Part) -> int:
-    """Its length, if it has one in every row."""
+    """Return the part's length, if it has one in every row, else 0."""
     return len(part) if isinstance(part, bytes) else part.lengths if isinstance(part.lengths, int) else 0
 
 
 def _put_texts(out: bytearray, ends: Places, texts: Texts, room: int) -> None:
-    """With at most `room` bytes in front of each."""
+    """Put the texts into their places, with at most `room` bytes in front of each."""
     items, lengths = texts
     width = items.itemsize
     if width <= room or isinstance(lengths, int):

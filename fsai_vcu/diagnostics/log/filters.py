@@ -23,7 +23,7 @@ _ERROR_FILTER = re.compile(r"#([0-9A-Fa-f]{1,8})")
 
 @dataclass(frozen=True, slots=True)
 class FrameFilter:
-    """What candump would let through.
+    """Filter that lets through what candump would.
 
     ids: (id, mask, inverted) with SocketCAN's flag bits; none: every data and remote frame. joined: all of them must
     match, not any. error_mask: classes of error frames to let through; None: not given.
@@ -35,7 +35,7 @@ class FrameFilter:
 
     @classmethod
     def parse(cls, text: str) -> FrameFilter:
-        """From what stands behind the interface on candump's command line. Raises ValueError with one clear line."""
+        """Parse what stands behind the interface on candump's command line. Raises ValueError with one clear line."""
         ids: list[tuple[int, int, bool]] = []
         join, error_mask = False, None
         for word in filter(None, text.split(",")):
@@ -51,11 +51,11 @@ class FrameFilter:
         return cls(tuple(ids), join, error_mask)
 
     def __bool__(self) -> bool:
-        """Whether anything was asked for at all; without a filter everything is shown, error frames too."""
+        """Return true where anything was asked for at all; without a filter everything is shown, error frames too."""
         return bool(self.ids) or self.error_mask is not None
 
     def passes(self, frames: Frames) -> Mask:
-        """Which of the frames candump would show."""
+        """Select the frames that candump would show."""
         if not self:
             return np.ones(len(frames), np.bool_)
         error = (frames.flags & ERROR) != 0

@@ -27,6 +27,7 @@ class GvretRows(Rows):
         return re.fullmatch(r".*,[0-9A-Fa-f]{2},?\s*", line) is not None
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line; None for the head, which names the columns."""
         words = [word.strip() for word in line.split(",")]
         if HEAD.match(line):
             self._columns = [word.lower() for word in words]

@@ -26,7 +26,7 @@ _ALL_INTERFACES: Final = "any"  # as candump calls it
 _WAIT_S: Final = 0.05
 _AGAIN_S: Final = 0.2
 _RECEIVE_BUFFER_BYTES: Final = 8 << 20  # some ten thousand frames: seconds of a full bus
-_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for those who may
+_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for a process that may
 _MOST_WAITING: Final = 1_000_000  # frames that were not fetched
 
 
@@ -56,7 +56,7 @@ class Listener:
         self._error: Exception | None = None
 
     def fetch(self) -> list[Received]:
-        """What was received since the last call. Raises BusLost where nothing is received any more."""
+        """Return what was received since the last call. Raises BusLost where nothing is received any more."""
         if self._error is not None and not self._received:
             raise BusLost(f"{self.name} is not received any more: {self._error!r}") from self._error
         return [self._received.popleft() for _ in range(len(self._received))]
@@ -80,6 +80,7 @@ class Listener:
             raise
 
     def _receive(self) -> None:
+        """Receive until the end, in a thread of its own, and open the bus again when it comes back."""
         lost_s = 0.0
         while self.heard_ns < self._end_ns:
             if self._bus is None:
@@ -112,7 +113,7 @@ class Listener:
             self._news.append(f"{self._spec} is back after {time.monotonic() - lost_s:.1f} s")
 
     def close(self) -> None:
-        """What has passed until now is received first, and can still be fetched."""
+        """End the reception; what has passed until now is received first, and can still be fetched."""
         self._end_ns = min(self._end_ns, time.monotonic_ns())
         self._ending.set()
         if self._thread.is_alive():
@@ -154,10 +155,10 @@ class LiveSource:
             listener.start()
 
     def chunks(self, seconds: float | None = None, asked: Sequence[int] = ()) -> Iterator[Frames]:
-        """What is received, every 50 ms or so, possibly nothing.
+        """Yield what is received, every 50 ms or so, possibly nothing.
 
         Ends after `seconds`, when a bus is lost, or when the end is `asked` for: once there is something in that.
-        Whatever has passed until then is in the last of them.
+        The last chunk has everything that has passed until then.
         """
         until = float("inf") if seconds is None else time.monotonic() + seconds
         interrupted = False
@@ -175,11 +176,11 @@ class LiveSource:
             raise KeyboardInterrupt
 
     def news(self) -> list[str]:
-        """Of buses that went and came back."""
+        """Return the news of buses that went and came back."""
         return [text for listener in self._listeners for text in listener.news()]
 
     def missing(self) -> Iterator[str]:
-        """What was not received, and why, in one line each."""
+        """Yield what was not received, and why, in one line each."""
         if self.lost is not None:
             yield self.lost
         if overrun := sum(listener.overrun for listener in self._listeners):

@@ -144,7 +144,7 @@ def _send_frames(mdf: Any, most_bytes: int, send: Callable[[Frames | str], None]
 def _group_frames(
     mdf: Any, number: int, kind: str, channels: list[str], problem: Callable[[str], None]
 ) -> Iterator[Frames]:
-    """Of one channel group, which has frames of one kind. `channels` grows."""
+    """Yield the frames of one channel group, which are of one kind. `channels` grows."""
     start_s = mdf.header.start_time.timestamp()
     announced, read = mdf.groups[number].channel_group.cycles_nr, 0
     computed = [
@@ -170,6 +170,7 @@ def _group_frames(
 
 
 def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
+    """Return the columns of one kind of frames as Frames."""
     count = len(t_ns)
     if not count:
         return frames_of((), channels)
@@ -208,7 +209,7 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
 
 
 def _whole(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Whole numbers, as a conversion does not leave them."""
+    """Make the numbers whole, as a conversion does not leave them."""
     if column.dtype.kind != "f":
         return column
     if not (np.isfinite(column).all() and (column == np.rint(column)).all() and (np.abs(column) < 1 << 32).all()):

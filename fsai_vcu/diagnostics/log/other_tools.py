@@ -44,6 +44,7 @@ class BusmasterRows(Rows):
         return "its last logging session has no end" if self._session_open else ""
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line of BusMaster; None for lines of its head."""
         text = line.strip()
         if text.startswith("***"):
             self._head(text.strip("*"))
@@ -65,6 +66,7 @@ class BusmasterRows(Rows):
         )  # fmt: skip
 
     def _head(self, text: str) -> None:
+        """Take in a line of the head: session, date, manner of the times, base of the numbers."""
         if text.endswith("LOGGING SESSION]"):
             self._session_open = "START" in text
         elif date := _BUSMASTER_DATE.search(text):
@@ -101,6 +103,7 @@ class KvaserRows(Rows):
         return False  # a row of which the direction is missing is none, and one cut in its time looks whole
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line of CANKing; None for lines that are none."""
         text = line.strip()
         if KVASER.match(line) or not text:
             return None

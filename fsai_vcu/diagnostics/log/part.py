@@ -17,7 +17,7 @@ _SECOND_NS: Final = 1_000_000_000
 
 
 class Part:
-    """From `begin` to `end`, each a time into the log or a time of day (UTC); None: no bound.
+    """Part of a log from `begin` to `end`, each a time into the log or a time of day (UTC); None: no bound.
 
     A time into the log is a number of seconds, or 1:30 for a minute and a half. 14:03:30 is a time of day, and so is
     14:03 where the log, from its first frame to its last, has that minute. ids: the identifiers of the messages;
@@ -25,7 +25,7 @@ class Part:
     """
 
     def __init__(self, begin: str | None = None, end: str | None = None, ids: frozenset[int] | None = None) -> None:
-        """Raises ValueError with one clear line."""
+        """Read the times. Raises ValueError with one clear line."""
         for name, text in (("--from", begin), ("--to", end)):
             try:
                 if (_seconds(text, 0, 0) or 0.0) < 0.0:
@@ -43,7 +43,7 @@ class Part:
         self._bounds: tuple[float, float] | None = None
 
     def __bool__(self) -> bool:
-        """Whether anything is left out at all."""
+        """Return true where anything is left out at all."""
         return self._begin is not None or self._end is not None or self._ids is not None
 
     @property
@@ -67,7 +67,7 @@ class Part:
         )
 
     def always(self) -> Part:
-        """The same messages, at all times."""
+        """Return a part with the same messages, at all times."""
         return Part(ids=self._ids)
 
     def of(self, frames: Frames) -> Frames:
@@ -83,7 +83,7 @@ class Part:
 
 
 def _seconds(text: str | None, first_ns: int, last_ns: int) -> float | None:
-    """Since the log's first frame. Raises ValueError for what is no time."""
+    """Return the seconds since the log's first frame. Raises ValueError for what is no time."""
     if text is None:
         return None
     clock = _CLOCK.fullmatch(text)

@@ -45,4 +45,4 @@ class Problems:
 
 
 class ReadingEnds(Exception):
-    """Why a log cannot be read on, as the end of a sentence."""
+    """Reason why a log cannot be read on, as the end of a sentence."""

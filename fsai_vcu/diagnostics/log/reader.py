@@ -126,11 +126,11 @@ class Log:
             self.problems.add(f"{self.name}: cannot be read to its end: {self._broken}")
 
     def _unreadable(self, line: int, reason: str) -> None:
-        """`line`: how many come between those that are done and this one."""
+        """Add a problem; `line`: how many lines come between those that are done and this one."""
         self.problems.add(f"{self.name}: line {self._lines + line + 1}: {reason}")
 
     def _read_block(self) -> bytes:
-        """As much as makes a block; from a pipe what there is, so that its reader need not wait."""
+        """Read as much as makes a block; from a pipe what there is, so that its reader need not wait."""
         parts: list[bytes] = []
         size = 0
         while size < _BLOCK_BYTES and not (self._pipe and parts) and self._broken is None:
@@ -158,7 +158,7 @@ class Log:
             self.problems.add(f"{self.name}: not readable as {self.kind}{after}: {_why(error)}")
 
     def _of_frames(self, format_: Format) -> Iterator[Frames]:
-        """Through a reader of single frames, or of some; those before its end are kept."""
+        """Read through a reader of single frames, or of some; those before its end are kept."""
         assert format_.frames is not None
         channels: list[str] = []
         batch: list[LogFrame] = []
@@ -179,7 +179,7 @@ class Log:
         yield frames_of(batch, channels)
 
     def _of_file(self, format_: Format) -> Iterator[Frames]:
-        """Through a reader that needs a file with a name."""
+        """Read through a reader that needs a file with a name."""
         assert format_.columns is not None
         if self._path is not None:
             yield from format_.columns(self._path, self.problems, self.name)

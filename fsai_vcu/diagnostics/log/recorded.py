@@ -1,4 +1,4 @@
-"""What the file beside a log says of the computer that recorded it: frames that it lost, times at which it stood still.
+"""Traces of the computer that recorded a log, by the file beside it: lost frames, times at which it stood still.
 
 A gap in such a log may be that computer's own. It is named then, and neither the car nor its plugs are blamed.
 """
@@ -24,7 +24,7 @@ _VIRTUAL: Final = ("vcan", "loopback:", "virtual:", "udp_multicast:")
 
 
 class Recorded(NamedTuple):
-    """What the recording computer did to its log.
+    """Traces that the recording computer left in its log.
 
     lost: frames that came and found no room. stalls_ns: from and to of each time at which it stood still, on the log's
     clock. virtual: the bus was inside the computer.
@@ -78,7 +78,7 @@ def stall_words(stalls_ns: Sequence[tuple[int, int]]) -> str:
 
 
 def recorded(log: Path) -> Recorded:
-    """What the file beside `log` says; nothing where there is none, or one that is not a recorder's."""
+    """Return what the file beside `log` says; nothing where there is none, or one that is not a recorder's."""
     try:
         about = json.loads(read_found(_beside(log), SETTINGS_BYTES))
     except (OSError, ValueError, RecursionError):

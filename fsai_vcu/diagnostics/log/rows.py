@@ -100,7 +100,7 @@ class Rows:
         return re.search(r"\s[0-9A-Fa-f]{2}\s*$", line) is not None
 
     def missing(self) -> str:
-        """At the end of the file: what it announced and does not have, as the end of a sentence; '' where nothing."""
+        """Return what the file announced and does not have at its end, as the end of a sentence; '' where nothing."""
         return ""
 
 
@@ -177,6 +177,6 @@ def state_frame(t_ns: int, channel: str, sent: int, received: int) -> LogFrame:
         return error_frame(t_ns, channel, BUS_OFF, sent=sent, received=received)
     if most < 96:
         return error_frame(t_ns, channel, BUS_ERROR, sent=sent, received=received)
-    # Of both pairs of bits the lower one is of receiving.
+    # The lower of each pair of bits is of receiving.
     bits = (PASSIVE if most > 127 else WARNING) & (0x28 if sent == most else 0x14)
     return error_frame(t_ns, channel, CONTROLLER, controller=bits, sent=sent, received=received)

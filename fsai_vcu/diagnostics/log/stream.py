@@ -16,14 +16,14 @@ from typing import IO, Any, Final, Protocol
 from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES
 
 HEAD_BYTES: Final = 4096
-"""As many of the first bytes tell a format."""
+"""Number of first bytes that tell a format."""
 _BLOCK_BYTES: Final = 1 << 18
 _PACKED_BLOCK_BYTES: Final = 1 << 14
 _LZMA_BYTES: Final = 128 * MIB  # `xz -9` takes 65
 
 
 class _Unpacker(Protocol):
-    """As the decompressors of bz2 and lzma are."""
+    """Unpacker with the methods of the decompressors of bz2 and lzma."""
 
     @property
     def eof(self) -> bool: ...
@@ -105,7 +105,7 @@ class _Unpacked(_Bounded):
         return self._handed_over(data, buffer)
 
     def _more(self, most: int) -> bytes | None:
-        """Some more; nothing where there may be more behind; None at the end."""
+        """Return some more; nothing where there may be more behind; None at the end."""
         if self._unpacker.eof:
             behind = (self._unpacker.unused_data or self._read()).lstrip(b"\0")
             if not behind:
@@ -119,7 +119,7 @@ class _Unpacked(_Bounded):
         return data
 
     def _next(self, behind: bytes, most: int) -> bytes | None:
-        """One packed file behind the other is as one."""
+        """Go on with the packed file behind: together they are as one."""
         behind = behind.lstrip(b"\0")
         if not behind:
             return b""

@@ -43,7 +43,7 @@ def _flag(name: str) -> Callable[[_Row], bool]:
 
 
 def _by_number(row: _Row) -> bool:
-    """Where no column says it."""
+    """Return true where the number needs an extended identifier, for a table in which no column says it."""
     return int(row["addr"], 0) > 0x7FF
 
 
@@ -73,6 +73,7 @@ class TableRows(Rows):
         return self._table is not None and self._table.length != ""  # which is checked when it is read
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line; None for the head and for comments."""
         text = line.strip()
         if text.startswith("#"):
             if text.lower().startswith("# time format:") and text.partition(":")[2].strip() != "0":

@@ -33,7 +33,7 @@ from fsai_vcu.interface.units import MS
 HEAD: Final = re.compile(r";\$FILEVERSION=|;#{14}|\d+\)\s+\d+(\.\d+)?\s", re.IGNORECASE)
 """A line that tells this format."""
 
-# Of most rows: by the letter of their column in versions 2 and 3, and in the order of each version 1.
+# Patterns of most rows: by the letter of their column in versions 2 and 3, and in the order of each version 1.
 _ROW: Final = {
     "N": rb" *(?P<number>\d{1,9})",
     "O": rb"(?P<time>\d{1,12})(?:\.(?P<decimals>\d{1,6}))?",
@@ -81,6 +81,7 @@ class TrcRows(Rows):
         return self._version, self._start_ns, self._columns
 
     def __call__(self, line: str) -> LogFrame | None:
+        """Return the frame on a line, by the version of the file; None for comments, which are read as the head."""
         text = line.strip()
         if line.startswith(";"):
             self._head(text[1:].strip())
@@ -97,6 +98,7 @@ class TrcRows(Rows):
         return self._of_version_1(words)
 
     def _head(self, text: str) -> None:
+        """Take in a comment of the head: version, columns, or start."""
         name, _, value = text.partition("=")
         name, value = name.upper().strip(), value.strip()
         if name == "$FILEVERSION":
@@ -115,6 +117,7 @@ class TrcRows(Rows):
             self._columns = value.replace(",", "")
 
     def _of_version_1(self, words: list[str]) -> LogFrame | None:
+        """Return the frame of a row of the versions 1."""
         if not words[0].endswith(")"):
             raise ValueError("not a row of TRC")
         t_ns = self._start_ns + ns_of(words[1], MS)
@@ -143,6 +146,7 @@ class TrcRows(Rows):
         return error_frame(t_ns, channel, PROTOCOL | BUS_ERROR, protocol=protocol)
 
     def _of_columns(self, words: list[str]) -> LogFrame | None:
+        """Return the frame of a row whose columns the head names."""
         columns = self._columns
         at = columns.find("T")
         if at < 0 or "D" not in columns or not -1 < columns.find("O") < at < len(words):

@@ -91,6 +91,7 @@ class MonitorApp(App[None]):
     ]
 
     def __init__(self, source: Source, every_s: float, patterns: Sequence[str] = ()) -> None:
+        """Prepare to show `source` every `every_s`; with patterns the page of signals comes first."""
         super().__init__(ansi_color=True)  # the terminal's own colours, dark or light
         self.theme = "ansi-dark"
         self.moment = source.look()
@@ -152,6 +153,7 @@ class MonitorApp(App[None]):
     # ------------------------------------------------------------ pictures
 
     def _show(self) -> None:
+        """Take a look at the source and draw the page in hand."""
         self.moment = self._source.look()
         width, height = self.size
         page = self._page if width >= _WIDE else ""
@@ -204,6 +206,7 @@ class MonitorApp(App[None]):
                 yield drawing.event_row(event, self._source.clock(event.t_ns), later=later), event.t_ns
 
     def _show_rows(self, rows: list[tuple[Text, Any]]) -> None:
+        """Replace those rows of the list that have changed, and follow the newest event where the last was chosen."""
         shown, old = self._list, self._rows
         follows = shown.highlighted == len(old) - 1 and self._page == "events" and not self._replayed
         if len(rows) < len(old):
@@ -228,7 +231,9 @@ class MonitorApp(App[None]):
     # ------------------------------------------------------------ keys
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """While something is typed keys are letters; a bus cannot be moved in."""
+        """Return whether an action is possible: keys are letters while something is typed, and a bus cannot be moved
+        in.
+        """
         if self._input.display:
             return action not in ("end", "page", "pause", "next_page", "ask", "step", "change")
         return self._replayed is not None or not (action in ("step", "change") or parameters == ("second",))

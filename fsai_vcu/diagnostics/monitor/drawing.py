@@ -34,7 +34,7 @@ STEER_SHOWN_DEG: Final = 30.0
 
 
 def line(*parts: str | tuple[str, str], wrap: bool = False) -> Text:
-    """Some text of several styles."""
+    """Make a line of texts of several styles."""
     pairs = [(part, "") if isinstance(part, str) else part for part in parts]
     shown = [(printable(text), style) for text, style in pairs]
     return Text.assemble(*shown, no_wrap=not wrap, overflow="fold" if wrap else "crop")
@@ -102,7 +102,7 @@ def history_row(history: History, width: int, *, full: bool = False) -> Text:
 
 
 def event_row(event: TimelineEntry, clock: str, *, later: bool) -> Text:
-    """`later`: it comes only after the moment that is shown."""
+    """Draw an event; `later`: it comes only after the moment that is shown."""
     return line((f"{clock:>12}  ", FAINT), (event.text, FAINT if later else _WEIGHT_STYLES[event.weight]))
 
 
@@ -182,6 +182,7 @@ def _trend(series: Series | None, now_ns: int, width: int, *, least: float) -> T
 
 
 def _state(picture: Picture, dark_phase: bool) -> list[Text]:
+    """Return the lines on the car's state: lamp, time in the state, switches, and what the AI computer says."""
     state = picture.as_state
     light = light_of(state)
     lamp = "" if light.colour not in _LIGHT_STYLES else "○ " if dark_phase and light.flashes else "● "

@@ -20,7 +20,7 @@ NO_VALUE: Final = "-"
 
 
 class Freshness(Enum):
-    """How a message does, in a word."""
+    """Freshness of a message, in a word."""
 
     FRESH = "ok"
     LATE = "late"  # frames are missing, but not enough to count as lost
@@ -54,7 +54,9 @@ class MessagePicture:
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """What the AI computer asks for and what the car gives. `limit`: the most that the car takes now."""
+    """Values that the AI computer asks of an actuator, and those that the car gives. `limit`: the most that the car
+    takes now.
+    """
 
     asked: float | None
     given: float | None
@@ -120,13 +122,13 @@ class Picture:
 
     @property
     def response(self) -> str:
-        """How fast the AI computer answers the handshake."""
+        """Time that the AI computer takes to answer the handshake."""
         median_ms = self.handshake.response_ms.p50_ms if self.handshake else None
         return "no answers" if median_ms is None else f"{median_ms:.1f} ms"
 
     @property
     def last_state(self) -> str:
-        """Of a car that is silent: its last AS state, and when it was."""
+        """Last AS state of a car that is silent, and its age."""
         if self.as_state_heard is None or self.status_age_s is None:
             return ""
         return f" ({self.as_state_heard} {duration(self.status_age_s)} ago)"
@@ -137,7 +139,7 @@ class Picture:
         return [*self.faults, *cause]
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON types, without the time, which is the caller's to name."""
+        """Return the picture as JSON types, without the time, which is the caller's to name."""
         found: dict[str, Any] = as_json(self, 4)
         found["handshake"] = as_json(self.handshake, 6)
         for message in found["messages"]:

@@ -1,4 +1,4 @@
-"""Where pictures come from: a bus as it is now, or a log at any of its moments."""
+"""Sources of pictures: a bus as it is now, or a log at any of its moments."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Moment(NamedTuple):
 
 
 def lag_words(heard_ns: int, now_ns: int) -> str:
-    """Of a display that has taken only what came until `heard_ns`; '' where that is near enough to the present."""
+    """Say that a display has taken only what came until `heard_ns`; '' where that is near enough to the present."""
     lag_ns = now_ns - heard_ns
     return f"this display lags by {lag_ns / S:.1f} s: this machine is too busy" if lag_ns > _LAG_NS else ""
 
@@ -76,7 +76,7 @@ class Live:
             self._view.update(frames)
 
     def wait(self, seconds: float) -> None:
-        """Until that time is over, or the bus."""
+        """Wait until that time is over, or the bus."""
         wait([self._receiving], seconds)
 
     def pause(self) -> None:
@@ -100,11 +100,11 @@ class Live:
         return datetime.fromtimestamp(time.time() - (time.monotonic_ns() - t_ns) / S).strftime("%H:%M:%S.%f")[:-3]
 
     def events(self) -> list[TimelineEntry]:
-        """Until now."""
+        """Return the events until now."""
         return self._view.events()
 
     def close(self) -> None:
-        """Raises what ended the bus."""
+        """Close the bus; raise what ended it."""
         self._stop = True
         self._receiving.result()
 
@@ -156,7 +156,7 @@ class Log:
 
     @property
     def end_ns(self) -> int:
-        """Of the last frame: for that the whole log is read."""
+        """Time (ns) of the last frame: for that the whole log is read."""
         self.read_all()
         return self._view.memory.newest_ns or 0
 
@@ -166,21 +166,21 @@ class Log:
         return not self._read_to(self.position_ns + 1)
 
     def read_all(self) -> None:
-        """To its end."""
+        """Read the log to its end."""
         self._read_to(math.inf)
 
     def seek(self, t_ns: int) -> None:
-        """To that time, or to the end that is nearer."""
+        """Go to that time, or to the end that is nearer."""
         self.position_ns = max(self.begin_ns, t_ns if self._read_to(t_ns) else self.end_ns)
 
     def advance(self, seconds: float) -> None:
-        """So much of one's own time passes."""
+        """Let so much of the viewer's time pass."""
         if self.playing:
             self.seek(self.position_ns + round(seconds * (self._rate or 1.0) * S))
             self.playing = not self.ended
 
     def wait(self, seconds: float) -> None:
-        """As the rate asks for."""
+        """Wait as the rate asks for."""
         if self._rate:
             time.sleep(seconds)
 
@@ -208,12 +208,12 @@ class Log:
         return f"{(t_ns - self.begin_ns) / S:.3f} s"
 
     def events(self) -> list[TimelineEntry]:
-        """All of the log."""
+        """Return the events of the whole log."""
         self.read_all()
         return self._view.events()
 
     def close(self) -> None:
-        """Nothing to be done."""
+        """Do nothing: there is nothing to be closed."""
 
     def _at(self, t_ns: int) -> tuple[View, Picture]:
         place = bisect_right(self._pieces, t_ns, key=lambda piece: int(piece[1].t_ns[0])) - 1
@@ -223,7 +223,7 @@ class Log:
         return view, view.picture(t_ns)
 
     def _read_to(self, t_ns: float) -> bool:
-        """Whether there is a frame at that time or later, as far as reading on tells."""
+        """Return true where there is a frame at that time or later, as far as reading on tells."""
         memory = self._view.memory
         while memory.newest_ns is None or memory.newest_ns < t_ns:
             frames = next(self._chunks, None)

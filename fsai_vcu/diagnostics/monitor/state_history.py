@@ -1,8 +1,8 @@
-"""What a view remembers of a bus: the last seconds whole, and of all before them what shows states; what changed in it.
+"""Memory of a view: the last seconds of a bus whole, of all before them what shows states, and what changed in it.
 
 The whole of a day on a bus does not fit, and is not needed: states change seldom. So of 0x520, 0x510, 0x524 and 0x525
-those frames are kept at which a state in them changed, those on both sides of a pause, and two a second besides, which
-show that there was no pause. Of every other message the newest frame is kept.
+the memory keeps those frames at which a state in them changed, those on both sides of a pause, and two a second
+besides, which show that there was no pause. Of every other message it keeps the newest frame.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _turning(words: Words) -> Words:
 
 @cache
 def _states_of() -> dict[int, Callable[[Words], Words]]:
-    """By identifier: what of its payloads is a state, in any revision."""
+    """Return by identifier what of its payloads is a state, in any revision."""
     codec = Codec(list(REVISIONS.values())[-1])
 
     def only(mask: int) -> Callable[[Words], Words]:
@@ -85,7 +85,7 @@ class Memory:
         self._channels: list[str] = []
 
     def copy(self) -> Memory:
-        """What is remembered now, for frames with times as `update` returned them."""
+        """Return a copy of what is remembered now, for frames with times as `update` returned them."""
         found = copy.copy(self)
         found._moved_ns = 0
         found.first_ns, found.newest = dict(self.first_ns), dict(self.newest)
@@ -93,7 +93,7 @@ class Memory:
         return found
 
     def update(self, frames: Frames) -> Frames:
-        """More frames, in the order in which they came; the same with times that never go back."""
+        """Take in more frames, in the order in which they came, and return them with times that never go back."""
         if not len(frames):
             return frames
         t_ns, back_ns = straightened(frames.t_ns + self._moved_ns, self.newest_ns)
@@ -119,6 +119,7 @@ class Memory:
         return frames
 
     def _keep_states(self, frames: Frames) -> None:
+        """Keep those of the frames at which a state changed, and those that show that there was no pause."""
         plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
         for can_id, states_of in _states_of().items():
             rows: Ints = np.flatnonzero(plain & (frames.can_id == can_id))
@@ -160,7 +161,7 @@ class Memory:
 
 
 def changed_bytes(frames: Frames, since_ns: int) -> dict[int, tuple[int, ...]]:
-    """By key of the message: which of its first eight bytes changed after `since_ns`."""
+    """Return by key of the message which of its first eight bytes changed after `since_ns`."""
     keys = keys_of(frames)
     order = np.argsort(keys, kind="stable")
     keys, words, t_ns = keys[order], frames.word[order], frames.t_ns[order]

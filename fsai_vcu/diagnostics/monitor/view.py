@@ -36,7 +36,7 @@ EXPECTED: Final = tuple(
     for message in BUS_TABLE
     if message.flow in (Flow.TO_VCU, Flow.FROM_VCU) and message.timeout_ns is not None
 )
-"""What is on the car's bus whenever car and AI computer are up, received or not."""
+"""Messages on the car's bus whenever car and AI computer are up, received or not."""
 
 _UNSUPERVISED_PERIODS: Final = 10  # interface specification v4.0: ten in a row are a loss
 _LATE_PERIODS: Final = 5
@@ -68,7 +68,9 @@ _STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig
 
 
 class View:
-    """What is on a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace our own."""
+    """View of a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace the built-in
+    ones.
+    """
 
     def __init__(self, channel: str = "", revision: str | None = None, databases: Databases | None = None) -> None:
         self.memory = Memory()
@@ -81,7 +83,7 @@ class View:
         self._settled = False
 
     def copy(self) -> View:
-        """As it is now, whatever comes later."""
+        """Return a copy as it is now, whatever comes later."""
         found = copy.copy(self)
         found.memory = self.memory.copy()
         return found
@@ -91,11 +93,11 @@ class View:
         self.emergency, self._settled = other.emergency, True
 
     def update(self, frames: Frames) -> Frames:
-        """More frames of the bus, in the order in which they came; the same with times that never go back."""
+        """Take in more frames of the bus, in the order of arrival, and return them with times that never go back."""
         return self.memory.update(frames)
 
     def picture(self, now_ns: int) -> Picture:
-        """What there is to see at `now_ns`, on the clock of the frames."""
+        """Return what there is to see at `now_ns`, on the clock of the frames."""
         frames = self.memory.condensed(self.memory.window(now_ns))
         if not len(frames):
             named, nothing = self._revision or "2026", ("nothing is received on this bus",)
@@ -130,7 +132,7 @@ class View:
         return bytes_of(self._long(now_ns), key, now_ns)
 
     def events(self) -> list[TimelineEntry]:
-        """What changed in the states of car and AI computer, from the beginning on."""
+        """List what changed in the states of car and AI computer, from the beginning on."""
         frames = self._long(self.memory.newest_ns or 0)
         if not len(frames):
             return []
@@ -171,6 +173,7 @@ class _Moment:
         self._window = record.frames.only(record.frames.t_ns > now_ns - WINDOW_NS)
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
+        """Return the picture of this moment; `emergency` is the brake that lasts, with its causes."""
         record, now_ns = self._record, self._now_ns
         span = record.series(sig.AS_STATE).span_at(now_ns)
         status = self._fresh(sig.STATUS)
@@ -256,7 +259,7 @@ class _Moment:
         return found
 
     def _fresh(self, can_id: int) -> bool:
-        """Whether the message comes, whole, and not missing for so long that it counts as lost."""
+        """Return true where the message comes, whole, and is not missing for so long that it counts as lost."""
         times = self._record.times(can_id)
         return bool(len(times)) and self._now_ns - int(times[-1]) < self._lost_after_ns(can_id)
 
@@ -281,7 +284,7 @@ class _Moment:
         return self._record.decoder.databases.baudrate or BITRATE
 
     def _lap_times_s(self) -> tuple[float, ...]:
-        """Between the steps of LAP_COUNTER in the newest stay in AS_DRIVING."""
+        """Return the times between the steps of LAP_COUNTER in the newest stay in AS_DRIVING."""
         run = self._record.series(sig.AS_STATE).last(self._now_ns, sig.DRIVING)
         if run is None or not len(wheel := self._record.fastest_wheel):
             return ()
@@ -303,6 +306,7 @@ class _Moment:
         return tuple(self._message(key, counts.get(key, 0), changed.get(key, ())) for key in keys)
 
     def _message(self, key: int, count: int, changed: tuple[int, ...]) -> MessagePicture:
+        """Return the picture of one message, of which `count` frames came in the last seconds."""
         layout = self._record.decoder.databases.layouts.get(key)
         newest = self._memory.newest.get(key)
         expected_ns = self._expected_ns(key)
@@ -326,14 +330,14 @@ class _Moment:
     # ------------------------------------------------------------ the link
 
     def _handshake_waiting_s(self) -> float | None:
-        """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or there is none."""
+        """Return how long (s) the newest toggle of the VCU has had no echo; None where it had one, or there is none."""
         answers = self._record.answers
         if answers.echoed[-1:].all() or not self._fresh(sig.STATUS):  # of no answers, too
             return None
         return (self._now_ns - int(answers.toggle_ns[-1])) / S
 
     def _link(self, messages: tuple[MessagePicture, ...]) -> Iterator[str]:
-        """What is wrong on the bus itself, the gravest first."""
+        """Yield what is wrong on the bus itself, the gravest first."""
         for others in (self._record.second_senders, self._record.second_cars):
             recent = [other.sentence for other in others if other.end_ns > self._now_ns - WINDOW_NS]
             yield from recent[-1:]

@@ -53,7 +53,7 @@ class Plot:
     curves: tuple[Curve, ...]
 
     def summary(self) -> str:
-        """In words, for those who do not see it."""
+        """Summary of the plot in words, for people who do not see it."""
         parts = []
         for curve in self.curves:
             values = curve.series.values
@@ -122,6 +122,7 @@ def _finite(series: Series, factor: float = 1.0) -> Series:
 
 
 def _speeds(record: Record) -> tuple[Curve, ...]:
+    """Return the curves of speed: the mean of the wheels, each wheel, and what other sources measured."""
     per_rpm = record.car.speed_of_wheel_rpm(1.0)
     wheels = [_finite(record.series(signal), per_rpm) for signal in sig.WHEELS]
     of_all = [wheel.values for wheel in wheels if len(wheel) == len(wheels[0])]
@@ -162,8 +163,11 @@ def _load(record: Record) -> Series:
 
 
 def thinned(series: Series, begin_ns: int, end_ns: int, buckets: int = BUCKETS) -> tuple[Ints, Values]:
-    """(times, values) with at most four points in each of `buckets` slices of the time: the first, the lowest, the
-    highest and the last, so that no peak is lost. NaN where the message was missing."""
+    """Return (times, values) with at most four points in each of `buckets` slices of the time.
+
+    They are the first, the lowest, the highest and the last, so that no peak is lost. NaN where the message was
+    missing.
+    """
     t_ns, values = series.t_ns, series.values
     if not len(t_ns):
         return t_ns, values

@@ -91,6 +91,7 @@ def _hash(text: str) -> str:
 
 
 def _data(judged: Judged, drawn: list[Plot], rate: float | None, *, loop: bool) -> str:
+    """Return the log's data for the page, as JSON."""
     record, story = judged.record, judged.verdict.explanation
     zero_ns = int(story.heading["begin_ns"])
     times_ns = zero_ns, record.begin_ns, record.end_ns
@@ -165,7 +166,7 @@ def _moment(at_s: float) -> str:
 
 
 def _findings(verdict: Verdict) -> str:
-    """What check says of the log; incidents have articles of their own."""
+    """Return what check says of the log; incidents have articles of their own."""
     kinds = {kind.slug for kind in IncidentKind}
     shown = "".join(f'<li class="problem"><b>unknown</b>: {escape(why)}.</li>\n' for why in verdict.unknown)
     for finding in verdict.findings:
@@ -177,6 +178,7 @@ def _findings(verdict: Verdict) -> str:
 
 
 def _incidents(story: Explanation) -> Iterator[str]:
+    """Yield an article for each incident: what happened, why, and what to do."""
     for incident in story.incidents:
         planned = " (as planned)" if incident.planned else ""
         when = _moment(seconds(story, incident.t_ns))
@@ -257,6 +259,7 @@ def _events(story: Explanation) -> Iterator[str]:
 
 
 def _figures(bus: BusStatistics) -> Iterator[str]:
+    """Yield the table of figures of a bus's messages."""
     titles = ("id", "message", "frames", "expected ms", "mean ms", "p99 ms", "max ms", "gaps", "load %")
     yield '<div class="scroll" tabindex="0" role="region" aria-label="figures of each message"><table><thead><tr>'
     yield "".join(f'<th scope="col">{title}</th>' for title in titles) + "</tr></thead>\n<tbody>"

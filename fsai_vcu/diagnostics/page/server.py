@@ -21,10 +21,12 @@ _PARTS: Final = {"/page.css": "text/css", "/page.js": "text/javascript"}
 
 
 class Server(serving.Server):
-    """`viewers`: how many streams there are. `html`: the page; it shows what is published unless a log is put here."""
+    """Server of the page. `viewers`: how many streams there are. `html`: the page; it shows what is published unless a
+    log is put here.
+    """
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises OSError."""
+        """Listen on host and port. Raises OSError."""
         super().__init__(host, port)
         self.html = part("page.html")
         self._news = asyncio.Event()
@@ -37,7 +39,7 @@ class Server(serving.Server):
         return self
 
     def publish(self, event: str, data: dict[str, Any]) -> None:
-        """To every viewer, in place of the event of that name before. Raises UserError where nobody listens."""
+        """Publish to every viewer, in place of the event of that name before. Raises UserError where nobody listens."""
         self.check()
         text = json.dumps({"sent_s": round(time.monotonic(), 3), **data}, separators=(",", ":"))
         self.loop.call_soon_threadsafe(self._put, event, f"event: {event}\ndata: {text}\n\n".encode())
@@ -62,6 +64,7 @@ class Server(serving.Server):
         return begun(web.Response(body=part(request.path[1:]).encode()), _PARTS[request.path])
 
     async def _stream(self, request: web.BaseRequest, connection: Connection) -> web.StreamResponse:
+        """Send events to one viewer until it leaves or the server ends."""
         response = begun(web.StreamResponse(), "text/event-stream")
         writer = await response.prepare(request)
         assert connection.transport and writer

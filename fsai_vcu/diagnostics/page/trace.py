@@ -21,7 +21,7 @@ _IDS: Final = (sig.STATUS, sig.ANGLE.can_id, sig.WHEELS[0].can_id)
 
 
 class Line:
-    """Where the car was, thinned out."""
+    """Trace of the car, thinned out."""
 
     def __init__(self, *points: tuple[float, float]) -> None:
         self.points: deque[tuple[float, float]] = deque(points, maxlen=POINTS)

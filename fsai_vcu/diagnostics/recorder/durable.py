@@ -10,7 +10,7 @@ from fsai_vcu.files import move_aside, open_new
 
 
 class DurableFile:
-    """What is written waits in memory until `push` has it on the disk.
+    """File whose text waits in memory until `push` has it on the disk.
 
     After a `push` that failed (a full disk), the file ends where the last good one left it, nothing of what waits is
     lost, and `push` may be tried again.
@@ -30,7 +30,7 @@ class DurableFile:
 
     @property
     def removed(self) -> bool:
-        """It was deleted: what is written now would be nowhere."""
+        """Return true where the file was deleted: what is written now would be nowhere."""
         return os.fstat(self._descriptor).st_nlink == 0
 
     def push(self) -> None:
@@ -51,25 +51,25 @@ class DurableFile:
         self._waiting.clear()
 
     def close(self) -> None:
-        """Without a `push`."""
+        """Close the file without a `push`."""
         os.close(self._descriptor)
 
-    # What a writer of a format needs of a stream.
+    # Methods that a writer of a format needs of a stream.
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
         self._waiting += data
         return len(data)
 
     def tell(self) -> int:
-        """All, on the disk and waiting."""
+        """Return how many bytes there are, on the disk and waiting."""
         return self._safe + len(self._waiting)
 
     def flush(self) -> None:
-        """Only what `push` has written is kept through a loss of power."""
+        """Do nothing: only what `push` has written is kept through a loss of power."""
 
 
 def sync_folder(folder: Path) -> None:
-    """What was created, renamed or deleted in it is so after a power cut."""
+    """Make what was created, renamed or deleted in the folder outlast a power cut."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.export.mcap_file import McapTables, RosMessage
 
 AGAIN_NS: Final = 1_000_000_000
-"""After a write that failed, the next one is tried so much later."""
+"""Pause (ns) before the next try after a write that failed."""
 
 _MOST_WAITING: Final = 200_000  # frames kept for a disk that takes nothing: two minutes of a busy bus
 _PART: Final = 20_000  # frames written in one go
@@ -74,7 +74,9 @@ class Recording:
         wall_ns: Callable[[], int],
         now_ns: int,
     ) -> None:
-        """about: for the sidecars. decoder: an MCAP is written too. Raises OSError where nothing can be written."""
+        """Begin a recording. about: for the sidecars. decoder: an MCAP is written too. Raises OSError where nothing can
+        be written.
+        """
         self._place = place
         self._bus = bus
         self._about = dict(about)
@@ -88,7 +90,7 @@ class Recording:
         self.taken = 0
         self.messages = 0
         self.lost = 0
-        self.dropped = 0  # frames that never came here, for the kernel had no room for them: who listens knows
+        self.dropped = 0  # frames that never came here, for the kernel had no room for them: the listener knows
         self._repair_last()
         self._segment: _Segment | None = self._begin(now_ns)
 
@@ -104,7 +106,7 @@ class Recording:
         self._messages.extend(messages)
 
     def turn(self, now_ns: int) -> None:
-        """Everything taken so far is on the disk; where that fails it is reported once and tried again later."""
+        """Put everything taken so far on the disk; a failure is reported once, and the write is tried again later."""
         if self._again_ns is not None and now_ns < self._again_ns:
             return
         try:
@@ -145,7 +147,7 @@ class Recording:
 
     @contextmanager
     def _left_as_it_is(self, path: Path) -> Iterator[None]:
-        """What cannot be repaired, or is no file of a recorder, keeps no recording from beginning."""
+        """Let a recording begin beside files that cannot be repaired, or are no recorder's."""
         try:
             yield
         except FileNotFoundError:
@@ -154,6 +156,7 @@ class Recording:
             self._report(f"{path} is left as it is: {error.strerror or error}")
 
     def _begin(self, now_ns: int) -> _Segment:
+        """Begin a segment: make room, write its sidecar, and open its files."""
         place = self._place
         place.begin_segment()
         place.make_room(0)
@@ -180,7 +183,7 @@ class Recording:
         return segment
 
     def _end(self) -> None:
-        """Raises OSError; the segment is closed all the same."""
+        """End the segment. Raises OSError; the segment is closed all the same."""
         segment, self._segment = self._segment, None
         if segment is None:
             return
@@ -205,6 +208,7 @@ class Recording:
     # ------------------------------------------------------------ writing
 
     def _write(self, now_ns: int) -> None:
+        """Write what waits, and go from segment to segment as their bounds ask for."""
         while True:
             segment = self._segment
             if segment is not None:
@@ -234,7 +238,7 @@ class Recording:
         segment.unpushed = 0
 
     def _put(self, segment: _Segment) -> None:
-        """Some of what waits goes to the segment's files, from where no full disk can lose it."""
+        """Write some of what waits to the segment's files, from where no full disk can lose it."""
         taken = [self._frames.popleft() for _ in range(min(_PART, len(self._frames)))]
         lines = "".join(f"{candump_line(frame, self._bus, stamp_ns)}\n" for frame, stamp_ns in taken)
         segment.files[0].write(lines.encode("ascii"))

@@ -1,4 +1,6 @@
-"""What a power cut leaves: a last line that is half there, an MCAP without its end. Both are made whole again."""
+"""Repair of what a power cut leaves: a last line that is half there, an MCAP without its end. Both are made whole
+again.
+"""
 
 from __future__ import annotations
 
@@ -119,6 +121,8 @@ def _bounded_reader(file: IO[bytes]) -> StreamReader:
     from mcap.stream_reader import StreamReader
 
     class Reader(StreamReader):
+        """Reader of records that refuses zeros."""
+
         def _read_record(self, opcode: int, length: int) -> McapRecord | None:
             if opcode == 0:
                 raise ValueError("zeros")
@@ -128,7 +132,7 @@ def _bounded_reader(file: IO[bytes]) -> StreamReader:
 
 
 def _check_unpacked(chunk: Chunk) -> None:
-    """Raises where it may unpack to more than a chunk has: it says so itself, or does not say."""
+    """Raise where a chunk may unpack to more than a chunk has: it says so itself, or does not say."""
     import zstandard
 
     sizes = [chunk.uncompressed_size]
@@ -139,7 +143,7 @@ def _check_unpacked(chunk: Chunk) -> None:
 
 
 def _learn_channels(summary: Summary, last: Chunk | None) -> None:
-    """Those that the last chunk brings, once its messages are known."""
+    """Learn the channels that the last chunk brings, once its messages are known."""
     if last is not None and not summary.counts[-1].keys() <= summary.channels.keys():
         schemas, channels, _ = _contents(last)
         summary.schemas |= schemas
@@ -147,7 +151,7 @@ def _learn_channels(summary: Summary, last: Chunk | None) -> None:
 
 
 def _contents(chunk: Chunk) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, MessageIndex]]:
-    """What a chunk defines, and where its messages are."""
+    """Return what a chunk defines, and where its messages are."""
     from mcap.opcode import Opcode
     from mcap.records import Channel, Message, MessageIndex, Schema
     from mcap.stream_reader import get_chunk_data_stream

@@ -1,4 +1,4 @@
-"""Where a recording goes: one file, or a folder of numbered segments whose oldest give way to the newest."""
+"""Place of a recording: one file, or a folder of numbered segments whose oldest give way to the newest."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """None: no bound. keep_free_bytes: what is always left free on the disk, for all else."""
+    """Bounds of a recording on the disk. None: no bound. keep_free_bytes: what is always left free, for all else."""
 
     segment_bytes: int | None = None
     segment_ns: int | None = None
@@ -74,7 +74,7 @@ class SegmentFolder:
         return self.path / f"{self._prefix}-{self.number if number is None else number:0{_DIGITS}d}{kind}"
 
     def all_files(self, kind: str) -> list[Path]:
-        """Of every segment, the oldest first."""
+        """List the files of every segment, the oldest first."""
         found = [(self._age(number), path) for number, path in self._files() if path.suffix == kind]
         return [path for _, path in sorted(found, reverse=True)]
 
@@ -123,7 +123,7 @@ class SegmentFolder:
             raise OSError(f"more than {most >> 20} MB in one segment")
 
     def _age(self, number: int) -> int:
-        """How many numbers before the one in hand."""
+        """Return how many numbers a segment is before the one in hand."""
         return (self.number - number) % _RANGE
 
     def _segments(self) -> dict[int, int]:

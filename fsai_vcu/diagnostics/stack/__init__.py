@@ -1,4 +1,5 @@
-"""What a ROS stack around the bridge does wrong, judged from its messages. No ROS here: whoever listens hands them in.
+"""Judgement of what a ROS stack around the bridge does wrong, from its messages. No ROS here: the listener hands them
+in.
 
 stack = StackWatch()
 stack.receive("vehicle_cmd", message, now_s, ros_ns)      # each message, as it comes
@@ -38,7 +39,7 @@ _CLOCK = "start it without use_sim_time, or let everything go by one /clock"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What is expected of one. `least_hz` is a tenth below what is asked for; 0: said once, kept for late listeners."""
+    """Expectation of a topic. `least_hz` is a tenth below what is asked for; 0: said once, kept for late listeners."""
 
     least_hz: float
     sender: str = ""  # of what must come
@@ -77,7 +78,7 @@ class Heard:
     youngest_s: float = math.inf
 
     def receive(self, now_s: float, age_s: float | None) -> None:
-        """A message at `now_s`; the age of its stamp, None where the stamp is empty."""
+        """Take in a message that came at `now_s`, with the age (s) of its stamp; None where the stamp is empty."""
         if self.count:
             self.gap_s = max(self.gap_s, now_s - self.last_s)
         else:
@@ -95,7 +96,7 @@ class Heard:
 
 @dataclass(slots=True)
 class StackWatch:
-    """What was heard of a stack, and what of it is wrong."""
+    """Record of what was heard of a stack, and of what is wrong."""
 
     heard: dict[str, Heard] = field(default_factory=lambda: {topic: Heard() for topic in TOPICS})
     ends: dict[str, Ends] = field(default_factory=dict)
@@ -115,7 +116,7 @@ class StackWatch:
     told: dict[tuple[str, str], str] = field(default_factory=dict)  # what nodes complain of: by node, and of what
 
     def receive(self, topic: str, message: Any, now_s: float, ros_ns: int) -> None:
-        """`now_s`: any steady clock; `ros_ns`: ROS time, by which messages are stamped."""
+        """Take in a message. `now_s`: any steady clock; `ros_ns`: ROS time, by which messages are stamped."""
         age_s = None
         if TOPICS[topic].least_hz:
             stamp = message.header.stamp
@@ -182,6 +183,7 @@ class StackWatch:
     # ------------------------------------------------------------ what is wrong
 
     def findings(self) -> Iterator[Finding]:
+        """Yield everything that is wrong with the stack, and what to do about it."""
         for topic, ends in self.ends.items():
             yield from _of_ends(topic, ends)
         for topic, expected in TOPICS.items():
@@ -217,7 +219,7 @@ class StackWatch:
             )
 
     def _of_plans(self) -> Iterator[Finding]:
-        """What is published and does not come; and paths that lead nowhere."""
+        """Yield what is published and does not come; and paths that lead nowhere."""
         why = f"; the planner says: {self.no_path}" if self.no_path else ""
         for topic in ("detected_cones", "path"):
             ends = self.ends.get(topic, Ends())
@@ -270,6 +272,7 @@ def _of_ends(topic: str, ends: Ends) -> Iterator[Finding]:
 
 
 def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
+    """Yield what is wrong with a topic's rate, its pauses and its stamps."""
     if heard.count > 1 and heard.rate_hz < least_hz:
         wrong = f"{heard.rate_hz:.1f} Hz, at least {least_hz / 0.9:.0f} are needed"
         yield Finding(
@@ -292,7 +295,7 @@ def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
 
 
 def _of_commands(problem: str, count: int, steer_max_rad: float) -> tuple[str, str]:
-    """What is wrong with `count` commands, and what to do; `problem` is a field's name, or 'both'."""
+    """Say what is wrong with `count` commands, and what to do; `problem` is a field's name, or 'both'."""
     if problem == "both":
         return f"{count} commands ask for throttle and brake together: the brake wins", "set one of them to 0"
     if problem == "run_id":

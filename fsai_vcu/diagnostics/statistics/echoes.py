@@ -1,4 +1,4 @@
-"""What an AI computer sends back for the HANDSHAKE: the bit of the last 0x520, its inverse, that of the one before, …
+"""Echoes of the HANDSHAKE that an AI computer sends: the bit of the last 0x520, its inverse, the bit before it, …
 
 Each 0x510 is held against the newest 0x520 before it, and against the one before that. Where the VCU's bit has just
 changed, an inverse and an echo one frame late are the same; where it has stayed they differ.
@@ -24,7 +24,7 @@ OFTEN: Final = 0.25  # a bit that never changes is wrong about half of the time
 
 
 class EchoFault(Enum):
-    """What is wrong with the bit that comes back; the value completes "the AI computer sends back …"."""
+    """Fault of the bit that comes back; the value completes "the AI computer sends back …"."""
 
     INVERTED = "the inverse of the HANDSHAKE bit"
     LATE = "the HANDSHAKE bit one 0x520 late"
@@ -37,7 +37,7 @@ class EchoFault(Enum):
 
 
 class Echoes(NamedTuple):
-    """How many 0x510 were held against a 0x520 whose bit had changed, or had stayed, and how many of them agreed."""
+    """Counts of the 0x510 held against a 0x520 whose bit had changed, or had stayed, and of those that agreed."""
 
     changed: int
     changed_right: int
@@ -55,7 +55,7 @@ class Echoes(NamedTuple):
 
     @property
     def fault(self) -> EchoFault | None:
-        """None where the echoes are right, or show nothing clearly."""
+        """Fault of the echoes; None where they are right, or show nothing clearly."""
         if self.judged < ENOUGH:
             return None
         few_right = self.judged - self.wrong <= (1.0 - NEARLY_ALL) * self.judged
@@ -75,7 +75,7 @@ class Echoes(NamedTuple):
 
 
 def echoes_of(asked_ns: Ints, asked_bits: npt.NDArray[Any], answer_ns: Ints, answer_bits: npt.NDArray[Any]) -> Echoes:
-    """Of the HANDSHAKE bits in 0x520 and in 0x510, with their times in ns; neither's may go backwards."""
+    """Count the echoes of the HANDSHAKE bits in 0x520 by those in 0x510; neither's times (ns) may go backwards."""
     newest = np.searchsorted(asked_ns, answer_ns, side="right") - 1
     known = newest >= 1
     newest, answer_ns, answer_bits = newest[known], answer_ns[known], answer_bits[known]

@@ -1,4 +1,4 @@
-"""What a bus did, in figures. Whether that is as it should be is for the verdict to say (verdict/of_bus.py)."""
+"""Figures of what a bus did. The verdict says whether that is as it should be (verdict/of_bus.py)."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class TimeSpread:
 
     @classmethod
     def of(cls, ordered: Ints) -> TimeSpread:
-        """Of times in ns, in ascending order."""
+        """Return the spread of times in ns, in ascending order."""
         found = [quantile(ordered, share) for share in (0.5, 0.99, 1.0)]  # type: ignore[arg-type]
         return cls(*(None if time_ns is None else time_ns / MS for time_ns in found))
 
@@ -191,6 +191,7 @@ def _measure_channel(
     bitrate: int,
     off_ns: Sequence[tuple[int, int]],
 ) -> BusStatistics:
+    """Measure one channel of a log."""
     backwards, backwards_at_s = 0, None
     if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
         back = np.flatnonzero(frames.t_ns[1:] < frames.t_ns[:-1] - MS)  # less is two frames stamped on two processors
@@ -257,7 +258,7 @@ def _by_message(frames: Frames) -> Iterator[tuple[Ints, int, Frames]]:
 
 
 def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | None) -> int | None:
-    """From the bus table where the message is one of its, else from the database."""
+    """Return the period from the bus table where the message is one of its, else from the database."""
     own = BY_ID.get(key)
     if own is not None and layout is not None and own.name == layout.name and revision is not None:
         return own.period_ns.get(revision)
@@ -273,7 +274,7 @@ def _measure_message(
     bitrate: int,
     off_ns: Sequence[tuple[int, int]],
 ) -> MessageStatistics:
-    """Of the frames of one message, on a bus whose first and last frame came at these times."""
+    """Measure the frames of one message, on a bus whose first and last frame came at these times."""
     t_ns, word, length, flags = frames.t_ns, frames.word, frames.length, frames.flags
     duration_ns = bus_ns[1] - bus_ns[0]
     words = np.sort(word)
@@ -322,7 +323,7 @@ def _measure_message(
 
 
 def _runs(*columns: npt.NDArray[Any]) -> Ints:
-    """Where each run of rows begins in which all columns stay as they are."""
+    """Return where each run of rows begins in which all columns stay as they are."""
     changed = np.ones(len(columns[0]), np.bool_)
     changed[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     return np.flatnonzero(changed)
@@ -340,12 +341,14 @@ def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
 
 
 def share(bits: Halves, duration_ns: int, bitrate: int) -> float:
-    """Of that time on the wire."""
+    """Return the share of that time that the bits take on the wire."""
     return int(bits.sum()) / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
 def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
-    """In the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go backwards."""
+    """Return the load in the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go
+    backwards.
+    """
     if not len(t_ns):
         return 0.0
     parts = []
@@ -358,7 +361,7 @@ def _peak_load(t_ns: Ints, bits: Halves, bitrate: int) -> float:
 
 
 def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDArray[Any]) -> Ints:
-    """When each bit was first sent back from its toggle on; NEVER_NS where it was not."""
+    """Return when each bit was first sent back from its toggle on; NEVER_NS where it was not."""
     first_ns = np.full(len(toggle_ns), NEVER_NS)
     for bit in (0, 1):
         times = np.append(echo_ns[echo_bits == bit], NEVER_NS)
@@ -367,9 +370,10 @@ def first_echoes(toggle_ns: Ints, bits: Ints, echo_ns: Ints, echo_bits: npt.NDAr
 
 
 def handshake_of(frames: Frames, decoder: Decoder, off_ns: Sequence[tuple[int, int]] = ()) -> Handshake | None:
-    """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards.
+    """Measure the answers to HANDSHAKE in frames of one bus, whose times must not go backwards.
 
-    off_ns: while the car was switched off; the last toggle before is owed no answer.
+    Returns None where one of the two has no HANDSHAKE there. off_ns: while the car was switched off; the last toggle
+    before is owed no answer.
     """
     tables = decoder.tables(frames, _STATUS)
     both = [tables[name].series.get("HANDSHAKE") for name in ("VCU2AI_Status", "AI2VCU_Status") if name in tables]

@@ -1,5 +1,4 @@
-"""Does a second sender use one of the AI computer's ids, or of the VCU's? Known by how many frames come and by what
-they say.
+"""Search for a second sender on the AI computer's ids, or on the VCU's, by how many frames come and by what they say.
 
 Spacing alone proves nothing: a USB adapter hands frames over in batches, and a program that was held up sends two at
 once. What proves it: the log's own marks of direction, more frames in a second than one sender's period allows, or a
@@ -32,14 +31,14 @@ CLOSE: Final = 0.75  # of a period
 LONG_EXCESS: Final = 1.09
 SLOW_NS: Final = 2 * S  # in which one is told that sends less often than the other, and the same
 SLOW_EXCESS: Final = 1.08
-AROUND: Final = 3  # frames before and after one that contradicts them
+AROUND: Final = 3  # frames before and after a frame that contradicts them
 EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender's would
 _BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after the one before
 REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
 APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
 FEW_BITS: Final = 4  # a signal this short is a flag, a state or a counter: any other value of it is another word
 ECHO: Final = "HANDSHAKE"  # follows the VCU, so it may well change and change back
-BEFORE: Final = 300  # frames: after a longer pause than these take, one that catches up may contradict itself
+BEFORE: Final = 300  # frames: after a longer pause than these take, a sender that catches up may contradict itself
 AHEAD_NS: Final = 5 * PERIOD_NS
 TOGETHER_NS: Final = 500 * MS
 
@@ -56,7 +55,7 @@ class SecondSender:
 
     @property
     def words(self) -> str:
-        """What proves it, with the ids."""
+        """Proof of the second sender, with the ids."""
         ids = ", ".join(f"0x{can_id:03X}" for can_id in self.can_ids)
         which = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
         return f"{ids}: {self.proof}{which}"
@@ -89,7 +88,7 @@ def second_cars(times: Mapping[int, Ints]) -> list[SecondSender]:
 
 
 def _joined(found: list[SecondSender]) -> list[SecondSender]:
-    """Those that are of one time together, in the order of time."""
+    """Join those of the same time, and return them in the order of time."""
     joined: list[SecondSender] = []
     for one in sorted(found, key=lambda one: one.begin_ns):
         last = joined[-1] if joined else None
@@ -106,6 +105,7 @@ def _joined(found: list[SecondSender]) -> list[SecondSender]:
 
 
 def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[SecondSender]:
+    """Find stretches in which more than one sender used an identifier."""
     rows = np.flatnonzero(frames.can_id == can_id)
     rows = rows[(frames.flags[rows] | RECEIVED | SENT) == RECEIVED | SENT]
     if len(rows) < 2 or frames.t_ns[rows[0]] == frames.t_ns[rows[-1]]:
@@ -122,7 +122,7 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
         if contradicting.any():
             proof = "a frame comes between two others and says something else than both"
             return _stretches(frames, rows, contradicting, proof, payloads=True)
-        # One that sends less often than the other: by the period that this really has, for a little fast is not two.
+        # A second sender may send less often: count by the message's real period, for a little fast is not two.
         period_ns = min(PERIOD_NS, _period_ns(t_ns))
         many = _too_many(t_ns, SLOW_NS, SLOW_EXCESS, period_ns)
         if many.any():  # the windows begin before it and end after it
@@ -136,18 +136,21 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
 
 
 def _begun(one: SecondSender, close_ns: Ints) -> SecondSender:
-    """The same from the first of these times in it on."""
+    """Return the same second sender from the first of these times in it on."""
     first_ns = int(np.append(close_ns, NEVER_NS)[np.searchsorted(close_ns, one.begin_ns)])
     return replace(one, begin_ns=first_ns) if first_ns <= one.end_ns else one
 
 
 def batched(t_ns: Ints) -> bool:
-    """Whether an adapter handed these frames of one message over together: the stamps are not when they were sent."""
+    """Return true where an adapter handed these frames of one message over together.
+
+    Their stamps are then not the times at which they were sent.
+    """
     return bool((np.diff(t_ns) < MS).mean() > _BATCHED_SHARE) if len(t_ns) > 1 else False
 
 
 def _around(t_ns: Ints) -> Ints:
-    """How many frames there are in the second around the short window that begins with each."""
+    """Count the frames in the second around the short window that begins with each."""
     middle = t_ns + SHORT_NS // 2
     return np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
 
@@ -158,8 +161,10 @@ def _rate(t_ns: Ints, many: Mask | Ints) -> float:
 
 
 def _too_many(t_ns: Ints, window_ns: int, excess: float, period_ns: float, around: float = 0.0) -> Mask:
-    """Frames within windows in which `excess` times as many come as the period allows, even to a sender that catches
-    up, and in the second around which `around` times as many do."""
+    """Select frames within windows in which `excess` times as many come as the period allows.
+
+    That is too many even for a sender that catches up; in the second around them come `around` times as many.
+    """
     count = len(t_ns)
     least = math.ceil(excess * window_ns / period_ns)
     hits = np.flatnonzero(t_ns[least - 1 :] < t_ns[: max(count - least + 1, 0)] + window_ns)

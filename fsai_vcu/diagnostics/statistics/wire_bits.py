@@ -1,4 +1,4 @@
-"""How long frames are on the wire: exact for classic CAN, with every stuff bit, as the CRC and the data make them.
+"""Length of frames on the wire: exact for classic CAN, with every stuff bit, as the CRC and the data make them.
 
 A classic frame is SOF, arbitration, control, data and CRC, all of it stuffed (after five bits alike comes one of the
 other kind), then CRC delimiter, acknowledge, its delimiter, seven bits of end and three of intermission (ISO 11898-1).
@@ -76,12 +76,12 @@ def _bytes_of(numbers: Ints | Halves, bits: int) -> list[Bytes]:
 
 
 def _crc(parts: Sequence[Bytes]) -> Halves:
-    """Of numbers whose bytes are the parts, as the sum without carry of those of each byte alone."""
+    """Return the CRC of numbers whose bytes are the parts, as the sum without carry of those of each byte alone."""
     return reduce(np.bitwise_xor, map(np.take, _crc_tables()[len(parts) - 1 :: -1], parts))
 
 
 def _stuff_bits(parts: Sequence[Bytes]) -> Bytes:
-    """How many come into numbers whose bytes are the parts."""
+    """Count the stuff bits that come into numbers whose bytes are the parts."""
     count: Halves = np.zeros(1, np.uint16)  # in its low byte; what the states add above is not looked at
     found: Halves = np.zeros(1, np.uint16)
     for part in parts:
@@ -92,7 +92,7 @@ def _stuff_bits(parts: Sequence[Bytes]) -> Bytes:
 
 @cache
 def _crc_tables() -> Halves:
-    """What a byte makes of the checksum by its bits, with so many bytes of zeros behind it: [zeros, byte]."""
+    """Return the checksum that a byte makes by its bits, with so many bytes of zeros behind it: [zeros, byte]."""
     one = np.uint16(1)
     crc: Halves = np.arange(256, dtype=np.uint16) << np.uint16(7)
     tables = []
@@ -106,7 +106,7 @@ def _crc_tables() -> Halves:
 
 @cache
 def _stuff_table() -> Halves:
-    """By state and byte: the next state above, the stuff bits below. State: the last bit, and how many are alike."""
+    """Return by state and byte the next state above, the stuff bits below. State: the last bit, how many are alike."""
     number = np.arange(16 << 8)
     last, alike = number >> 11, number >> 8 & 7
     count = np.zeros_like(number)

@@ -23,10 +23,10 @@ _VIRTUAL_LINKS: Final = frozenset({"vcan", "vxcan"})
 
 
 def is_physical(spec: str) -> bool:
-    """Whether `spec` may be a real bus: anything that is not known to be none.
+    """Return true where `spec` may be a real bus: anything that is not known to be none.
 
-    Not to be seen from the name, nor from where sysfs keeps it (a serial adapter is 'virtual' there): the kernel tells
-    the kind of a link.
+    Neither the name shows it, nor the place where sysfs keeps it (a serial adapter is 'virtual' there): the kernel
+    tells the kind of a link.
     """
     kind, channel = split_spec(spec)
     if kind in _STAND_INS:
@@ -44,11 +44,11 @@ def is_physical(spec: str) -> bool:
 
 
 def choose(frames: Frames, *, with_ai_ids: bool, physical: bool) -> tuple[Frames, str]:
-    """What of a log may be sent at all, in order of time; and in words what not, empty if all may.
+    """Choose the frames of a log that may be sent at all, in order of time; and say what may not, '' if all may.
 
-    On a physical bus never reserved ids (safety rule 8), the sensors' among them. The AI computer's own only where that
-    is asked for: the bridge on the bus would take them for an intruder's. 0x501 is the PCAN-GPS's, unless the car has
-    none.
+    A physical bus never gets reserved ids (safety rule 8), the sensors' among them. The AI computer's own ids are sent
+    only where that is asked for: the bridge on the bus would take them for an intruder's. 0x501 is the PCAN-GPS's,
+    unless the car has none.
     """
     not_sent: list[tuple[str, Mask]] = [
         ("error frames", (frames.flags & ERROR) != 0),

@@ -93,7 +93,7 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
 
 
 def check_permission(layout: MessageLayout, *, as_ai: bool) -> None:
-    """Raises UserError for a message that is not ours to send."""
+    """Raise UserError for a message that this software must not send."""
     name = f"{layout.name} (0x{layout.can_id:03X})"
     # A filter for a number may not look at the width of the identifier: reserved is reserved in both.
     if layout.can_id in RESERVED_IDS:
@@ -157,7 +157,7 @@ def _raw_values(message: Message, given: Mapping[str, str]) -> tuple[dict[str, A
 
 
 def _is_in_frame(signal: Signal, raws: Mapping[str, Any]) -> bool:
-    """Whether the selectors chosen so far put it there."""
+    """Return true where the selectors chosen so far put the signal into the frame."""
     selector = signal.multiplexer_signal
     return selector is None or (selector in raws and raws[selector] in (signal.multiplexer_ids or ()))
 
@@ -211,7 +211,7 @@ def _raw_limits(signal: Signal) -> tuple[int, int]:
 
 
 def _limits(signal: Signal) -> tuple[float, float]:
-    """What the database allows, and no more than the field can carry."""
+    """Return the least and the most that the database allows, and no more than the field can carry."""
     if signal.is_float:
         most = _FLOAT32_MAX if signal.length == 32 else math.inf
         carried = (-most, most)
@@ -237,7 +237,7 @@ def _number(words: str) -> float | None:
 
 
 def _shown(signal: Signal, raw: float) -> float | str:
-    """What the wire carries, in the database's words where it has one."""
+    """Return what the wire carries, in the database's words where it has one."""
     scaled = signal.conversion.raw_to_scaled(raw, True)
     if isinstance(scaled, int | float):
         return round(scaled, 9) if isinstance(scaled, float) else scaled

@@ -106,7 +106,7 @@ class Verdict:
         return replace(self, unknown=(UNREAD, *self.unknown)) if unread else self
 
     def line(self) -> str:
-        """In one line, without findings."""
+        """Return the verdict in one line, without findings."""
         notes = len(self.findings) - self.problems
         end = f" ({notes} note{'s' * (notes > 1)})" if notes else ""
         if self.problems:
@@ -124,7 +124,7 @@ class Verdict:
                 yield f"    what to do: {remedy}."
 
     def moment(self, finding: Finding) -> str:
-        """When: seconds since the log's first frame, and the time of day where the log has one."""
+        """Return the moment: seconds since the log's first frame, and the time of day where the log has one."""
         if finding.t_ns is None:
             return ""
         clock = (
@@ -232,7 +232,7 @@ def judged(
 
 
 def _with_gaps_before(bus: BusStatistics, whole: Record, part_ns: TimeRange) -> BusStatistics:
-    """The same, with the gap of each message that lasts into the part."""
+    """Return the statistics with the gap of each message that lasts into the part."""
 
     def whole_gap(message: MessageStatistics) -> MessageStatistics:
         times = whole.times(message.can_id)
@@ -326,13 +326,13 @@ def _told(explanation: Explanation) -> set[tuple[int | None, int]]:
 
 
 def _all_told(record: Record, told: set[tuple[int | None, int]]) -> bool:
-    """True where all error frames are near the one that a cause cites."""
+    """True where all error frames are near the error frame that a cause cites."""
     cited = [t_ns for can_id, t_ns in told if can_id is None and t_ns in record.error_ns]
     return any(record.error_ns[-1] - S <= t_ns <= record.error_ns[0] + S for t_ns in cited)
 
 
 def _in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
-    """What the car did beside what incidents are made of: the first of each kind, and how often."""
+    """Yield what the car did beside the matter of incidents: the first of each kind, and how often."""
     state = record.series(AS_STATE)
     found: list[tuple[int, str, str, int]] = []
     for kind, signal in (*(("torque-limit", each) for each in CAR_TORQUE_MAX), ("go", GO)):
@@ -406,7 +406,7 @@ def _perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
 
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
-    # Of conditions that all have to be met, each that is not is named.
+    # Each unmet condition is named, since all have to be met.
     refused = incident.kind is IncidentKind.REFUSAL
     each = [one for one in incident.candidates[1:] if refused and one.sureness >= Sureness.SHOWN]
     named = dict.fromkeys(sentence(one) if refused else one.cause.words for one in (first, *each))
@@ -429,7 +429,7 @@ def _not_judged(whole: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
 
 
 def _unknown(record: Record) -> Iterator[str]:
-    """Why this log cannot be called well even if nothing in it is wrong."""
+    """Say why this log cannot be called well even if nothing in it is wrong."""
     if STATUS in record.unknown_ids:
         yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
     elif STATUS in record.wrong_length and not record.has(STATUS):

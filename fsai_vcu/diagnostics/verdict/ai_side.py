@@ -1,6 +1,7 @@
-"""What an AI side did wrong that the car bore, whatever stack it is: mistakes that cost teams their event.
+"""Mistakes of an AI side that the car bore, whatever stack it is: mistakes that cost teams their event.
 
-Each looks at AS_DRIVING alone, and is said once, with its first moment. What stopped the car is an incident's cause.
+Each check looks at AS_DRIVING alone, and reports once, with the first moment. What stopped the car is an incident's
+cause.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _AXLES: Final = (
 
 
 def mistakes(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
-    """Of the AI side, in that part of the log."""
+    """Yield the mistakes of the AI side in that part of the log."""
     yield from _steering_swapped(record, part_ns)
     yield from _wrong_axle(record, part_ns)
     yield from _never_running(record, part_ns)
@@ -54,6 +55,7 @@ def _driving(record: Record, times: Ints, part_ns: TimeRange) -> Mask:
 
 
 def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    """Yield that steering went the other way than it was asked to."""
     measured, asked = record.series(sig.ANGLE), record.series(sig.STEER)
     if not len(measured) or not len(asked):
         return
@@ -75,6 +77,7 @@ def _steering_swapped(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
 
 
 def _wrong_axle(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
+    """Yield that torque was asked of an axle that has none to give."""
     for (can_id, asked_of, most_of), (_, others_asked, others_most) in (_AXLES, _AXLES[::-1]):
         asked, most = record.series(asked_of), record.series(most_of)
         if not len(asked) or not len(most) or not len(record.series(others_most)):
@@ -110,7 +113,7 @@ def _never_running(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
 
 
 def _torque_with_brake(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
-    """As the VCU receives them one after another, frame by frame."""
+    """Yield torque asked for beside the brake, as the VCU receives the two one after another, frame by frame."""
     torques, brakes = ([*map(record.series, pair)] for pair in (_TORQUES, _BRAKES))
     times = np.unique(np.concatenate([series.t_ns for series in (*torques, *brakes)]))
     if not len(times):

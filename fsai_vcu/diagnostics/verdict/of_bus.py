@@ -77,7 +77,7 @@ def judge(bus: BusStatistics, known: Known | None = None) -> list[Finding]:
 
 
 class _Pause(NamedTuple):
-    """The longest pause of a message. lost: longer than its loss; grave: and it is one that must not be lost."""
+    """The longest pause of a message. lost: longer than its loss; grave: and the message must not be lost."""
 
     message: MessageStatistics
     words: str
@@ -107,6 +107,7 @@ class _Judge:
     gone: frozenset[int] = field(default_factory=frozenset)
 
     def findings(self) -> Iterator[Finding]:
+        """Yield the findings on the bus, none of them twice."""
         bus = self.bus
         if not bus.frames:
             yield self._finding(True, "silent", f"nothing was received on {bus.channel}")
@@ -114,7 +115,7 @@ class _Judge:
         yield from self._times()
         stopped = list(self._together_stopped())
         self.gone = frozenset(can_id for finding in stopped for can_id in finding.can_ids)
-        # That an AI computer fell silent is a cause; that the log ends without the car is said beside it.
+        # An AI computer that fell silent is a cause; a log that ends without the car is said beside it.
         yield from (
             one for one in stopped if AI_IDS[0] not in one.can_ids or not self._is_told(AI_IDS[0], (one.t_ns or 0) / S)
         )
@@ -140,7 +141,7 @@ class _Judge:
         t_s: float | None = None,
         remedy: str = "",
     ) -> Finding:
-        """`remedy`: its place in the table, where it is not the kind."""
+        """Make a finding; `remedy`: its place in the table, where it is not the kind."""
         t_ns = None if t_s is None else round(t_s * S)
         to_do = remedy_of(remedy or kind, self.known.setting) if grave else ""
         can_ids = (ids,) if isinstance(ids, int) else ids
@@ -181,6 +182,7 @@ class _Judge:
             yield self._finding(False, "missing", f"never received: {', '.join(words)}")
 
     def _handshake(self, handshake: Handshake) -> Iterator[Finding]:
+        """Yield the findings on how the AI computer answers the HANDSHAKE."""
         if handshake.fault is not None:
             often = f"{handshake.wrong} of {handshake.echoes} echoes are wrong"
             text = f"the AI computer sends back {handshake.fault.value}: {often}"
@@ -358,7 +360,7 @@ class _Judge:
 
 
 def _covers(named: int | None, can_id: int) -> bool:
-    """True where a message is silent with one that a cause names: a VCU's with its status, an AI computer's five."""
+    """Return true where a message is silent with one that a cause names: a VCU's with its status, all five of an AI."""
     if named == STATUS:
         return can_id not in AI_IDS
     return can_id in AI_IDS if named == AI_IDS[0] else can_id == named
@@ -374,7 +376,7 @@ def _shared(pause: list[_Pause]) -> tuple[int, int]:
 
 
 def _in_its_period(message: MessageStatistics) -> bool:
-    """True where it comes in its period at all: one that has another lacks no frames."""
+    """True where it comes in its period at all: a message with another period lacks no frames."""
     expected_ms, p50_ms = message.expected_ms, message.interval_ms.p50_ms
     return expected_ms is not None and p50_ms is not None and p50_ms < MISSING_PERIODS * expected_ms
 

@@ -135,8 +135,7 @@ def _missing(record: Record, begin_ns: int, end_ns: int) -> Iterator[tuple[int, 
 
 
 def _caught_up(record: Record, begin_ns: int, end_ns: int) -> bool:
-    """True where more frames come after the gap than before, or later: then they were held back, and their stamps are
-    late."""
+    """Return true where more frames come after the gap than before, or later: held back, their stamps are late."""
     windows = (end_ns, begin_ns - _WINDOW_NS, end_ns + 3 * _WINDOW_NS)
     t_ns = record.frames.t_ns
     after, before, later = (int(np.diff(np.searchsorted(t_ns, (low, low + _WINDOW_NS)))[0]) for low in windows)
@@ -229,6 +228,7 @@ def _parts(frames: Frames) -> Iterator[Frames]:
 
 
 def _twice(frames: Frames) -> Twice | None:
+    """Find the frames that are copies of others: the same identifier, payload and nearly the same time."""
     keys = keys_of(frames).astype(np.int64) | frames.channel.astype(np.int64) << 32
     plain = np.flatnonzero((frames.flags & ERROR) == 0)
     order = plain[np.argsort(keys[plain], kind="stable")]
@@ -275,7 +275,7 @@ def _twice(frames: Frames) -> Twice | None:
 
 
 def impossible(buses: Sequence[BusStatistics]) -> str:
-    """Why the times of a log cannot be true, as a sentence; '' where they can."""
+    """Say in a sentence why the times of a log cannot be true; '' where they can."""
     for bus in buses:
         if bus.load > _IMPOSSIBLE_LOAD and bus.frames >= _ENOUGH_OF_LOAD:
             return (

@@ -119,6 +119,7 @@ class AckermannAdapter(Node):
     """Vehicle commands at a steady rate: from the newest command while the stack drives, else at rest."""
 
     def __init__(self, **options: object) -> None:
+        """Read the parameters and connect the interface. Raises NodeError for what cannot be."""
         super().__init__("ackermann_adapter", **options)
         self._settings = Settings(self, SETTINGS, lambda _name: None)
         self._car = CARS[self._settings.text("car")]
@@ -157,9 +158,9 @@ class AckermannAdapter(Node):
         )
 
     def _connect(self) -> None:
-        """What the interface has: commands, flags, services, and what the stack is told."""
+        """Connect what the interface has: commands, flags, services, and what the stack is told."""
         one, door = self._interface, self._door
-        # As best effort it is received, whatever the stack promises.
+        # A best-effort subscription receives it, whatever the stack promises.
         commands = ros_type(f"ackermann_msgs/{one.command_type}")
         door.subscription(commands, one.command, self._on_command, qos=SENSOR, refused=self._input.refused)
         if one.driving:
@@ -187,7 +188,7 @@ class AckermannAdapter(Node):
                 self._outputs.append((output, made, self.create_publisher(made, name, 1)))
 
     def _listen(self, topic: str, on_flag: Callable[[bool], None]) -> None:
-        """A flag may be said once only, so reliably; and who promises no such thing is heard too."""
+        """Listen to a flag, reliably, for it may be said only once; a publisher that promises less is heard too."""
         for qos in (ONCE, SENSOR):
             self._door.subscription(Bool, topic, lambda message: on_flag(message.data), qos=qos)
 
@@ -257,6 +258,7 @@ class AckermannAdapter(Node):
         return self._state is not None and self._state.as_state == AsState.AS_DRIVING
 
     def _tick(self) -> None:
+        """Send the due command: the stack's newest while it drives, else at rest; none once that one is too old."""
         self._pass_emergency()
         state = self._state
         if state is None:
@@ -279,13 +281,14 @@ class AckermannAdapter(Node):
         self._command.publish(command)
 
     def _confirm(self) -> None:
-        """For planner and controller both, once a stack is there; the teams have no word for it, they see AS_OFF."""
+        """Confirm for planner and controller both, once a stack is there: teams have no word for it but AS_OFF."""
         if self._confirmed != self._run.run_id and self.count_publishers(self._interface.command):
             self._confirmed = self._run.run_id
             for role in (ResetConfirmation.PLANNER, ResetConfirmation.CONTROLLER):
                 self._confirmation.publish(ResetConfirmation(role=role, run_id=self._run.run_id))
 
     def _fill(self, command: VehicleCommand, state: VehicleState) -> None:
+        """Fill the command in from the stack's Ackermann command, within the car's limits."""
         drive, limit = self._drive, self._car.steer_max_rad
         # Many stacks leave the stamp empty: then the command is as old as its arrival.
         unset = self._stamp is None or not nanoseconds(self._stamp)
@@ -304,7 +307,7 @@ class AckermannAdapter(Node):
     # ------------------------------------------------------------ services, and the emergency as a topic
 
     async def _ask(self, client: Client, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """The bridge's answer."""
+        """Ask the bridge and return its answer."""
         if not client.service_is_ready():
             response.message = f"no bridge offers {client.srv_name}"
             return response
@@ -313,7 +316,7 @@ class AckermannAdapter(Node):
     def _on_request(
         self, on_flag: Callable[[bool], None], _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """As a flag that is set, and stays so in this run."""
+        """Take a request as a flag that is set, and stays so in this run."""
         response.success = self._run.may_move
         if response.success:
             on_flag(True)

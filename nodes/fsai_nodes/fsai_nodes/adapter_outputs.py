@@ -1,4 +1,4 @@
-"""What ackermann_adapter tells a stack: our messages in the types, numbers and words of the teams' interfaces. Pure.
+"""Outputs of ackermann_adapter: this project's messages in the types, numbers and words of the teams' interfaces. Pure.
 
 Each kind has the type that it makes. Types are looked for only when a preset asks for them: a team has its own.
 """
@@ -17,13 +17,13 @@ from fsai_msgs.msg import Cone, ConeArray, VehicleState
 from fsai_nodes.conversions import motion_from_state, odometry_to_msg
 from fsai_vcu.interface.enums import Ami, AsState
 
-FRAME = "base_footprint"  # the teams' name for the car; ours is the rear axle's centre on the ground
+FRAME = "base_footprint"  # the teams' name for the car; here its origin is the rear axle's centre on the ground
 RPM_PER_TURN_PS = 60.0
 
 # ---------------------------------------------------------------- numbers and words
 
 AS_STATES = {AsState.AS_READY: 1, AsState.AS_DRIVING: 2, AsState.EMERGENCY_BRAKE: 3, AsState.AS_FINISHED: 4}
-"""Of eufs_msgs/CanState; all others are AS_OFF, 0."""
+"""Numbers of eufs_msgs/CanState; all other states are AS_OFF, 0."""
 CAN_MISSIONS = {
     Ami.ACCELERATION: 11,
     Ami.SKIDPAD: 12,
@@ -33,7 +33,7 @@ CAN_MISSIONS = {
     Ami.STATIC_INSPECTION_A: 18,
     Ami.STATIC_INSPECTION_B: 19,
 }
-"""Of eufs_msgs/CanState."""
+"""Numbers of eufs_msgs/CanState."""
 NO_CAN_MISSION = 10
 SET_MISSIONS = {
     Ami.ACCELERATION: 1,
@@ -44,7 +44,7 @@ SET_MISSIONS = {
     Ami.STATIC_INSPECTION_B: 9,
     Ami.AUTONOMOUS_DEMO: 10,
 }
-"""Of eufs_msgs/SetMission; 0 is none."""
+"""Numbers of eufs_msgs/SetMission; 0 is none."""
 _AS_WORDS = {
     AsState.AS_READY: "READY",
     AsState.AS_DRIVING: "DRIVING",
@@ -104,7 +104,7 @@ OUTPUTS: dict[str, Output] = {}
 
 
 def _output(kind: str, of: type[Any] = VehicleState) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """The function (type, our message, whether the stack drives) makes the output of its name."""
+    """The function (type, the project's message, whether the stack drives) makes the output of its name."""
 
     def entered(make: Callable[..., Any]) -> Callable[..., Any]:
         OUTPUTS[make.__name__] = Output(kind, make, of)
@@ -191,7 +191,7 @@ def wheel_speeds(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
 
 @_output("eufs_msgs/WheelSpeedsStamped")
 def wheel_turns(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
-    """In turns per second, as eufs_sim2 sends them."""
+    """Return the wheels in turns per second, as eufs_sim2 sends them."""
     message = _stamped(kind, state)
     _wheels(message.speeds, state, RPM_PER_TURN_PS)
     return message
@@ -211,7 +211,7 @@ def twist(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
 
 @_output("eufs_msgs/VehicleCommandsStamped")
 def vehicle_commands(kind: type[Any], state: VehicleState, _driving: bool) -> Any:
-    """What was sent, in the units of the wire. The motors' speed limit is in no VehicleState."""
+    """Return the commands that were sent, in the units of the wire. The motors' speed limit is in no VehicleState."""
     message = _stamped(kind, state)
     sent = message.commands
     sent.handshake, sent.ebs = int(state.handshake), int(state.sent_estop_request)
@@ -224,7 +224,7 @@ def vehicle_commands(kind: type[Any], state: VehicleState, _driving: bool) -> An
 
 @_output("nav_msgs/Odometry")
 def odometry(_kind: type[Any], state: VehicleState, _driving: bool) -> Any:
-    """Where the run's odometry has the car."""
+    """Return where the run's odometry has the car."""
     message = odometry_to_msg(motion_from_state(state, 0), state.header.stamp)
     message.child_frame_id = FRAME
     return message
@@ -232,7 +232,7 @@ def odometry(_kind: type[Any], state: VehicleState, _driving: bool) -> Any:
 
 @_output("eufs_msgs/CarState")
 def car_state(kind: type[Any], state: VehicleState, driving: bool) -> Any:
-    """The same; accelerations are not measured by it."""
+    """Return where the run's odometry has the car, as CarState; accelerations are not measured by it."""
     place = odometry(kind, state, driving)
     message = kind(header=place.header, child_frame_id=FRAME, pose=place.pose, twist=place.twist)
     message.linear_acceleration_covariance[0] = -1.0  # sensor_msgs/Imu's word for: none
@@ -270,12 +270,12 @@ def cones_with_color(kind: type[Any], seen: ConeArray, _driving: bool) -> Any:
 
 
 def set_can_state(request: Any, state: VehicleState | None) -> str:
-    """Empty where the car's display shows the mission that is asked for; else why not."""
+    """Return why the car's display does not show the mission that is asked for; empty where it does."""
     return _chosen(request.ami_state, CAN_MISSIONS.get(getattr(state, "mission", None), NO_CAN_MISSION))
 
 
 def set_mission(request: Any, state: VehicleState | None) -> str:
-    """The same, in the numbers of SetMission."""
+    """Return the same as `set_can_state`, in the numbers of SetMission."""
     return _chosen(request.mission, SET_MISSIONS.get(getattr(state, "mission", None), 0))
 
 
@@ -284,7 +284,7 @@ def _chosen(asked: int, shown: int) -> str:
 
 
 def go(_request: Any, state: VehicleState | None) -> str:
-    """Empty where the car drives; Go is the remote control's."""
+    """Return why the car does not drive; empty where it does. Go is the remote control's."""
     if state is not None and state.as_state == AsState.AS_DRIVING:
         return ""
     shown = "nothing yet" if state is None else state.as_state_label or str(state.as_state)

@@ -51,7 +51,7 @@ def on_clock_step(call: Callable[[], object]) -> bool:
             except OSError:  # ECANCELED, and the timer is armed as before
                 call()
                 logger.warning("the wall clock was set; deadlines are by the monotonic clock and go on")
-                # Who had read the clock just before, and began to wait just after, was not to be woken yet.
+                # A thread that had read the clock just before, and began to wait just after, could not be woken yet.
                 time.sleep(_AGAIN_S)
                 call()
 

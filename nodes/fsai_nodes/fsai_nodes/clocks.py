@@ -1,4 +1,4 @@
-"""What every node of this package shares at ROS's edge: the two clocks, and timers that a clock step cannot stop."""
+"""Clocks that every node of this package shares at ROS's edge, and timers that a clock step cannot stop."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Clocks:
         return after_ns
 
     def wrong(self, now_ns: int) -> str:
-        """What is wrong with this node's own clock, in words; empty where it is this computer's, or beside it.
+        """Say in words what is wrong with this node's own clock; empty where it is this computer's, or near it.
 
-        It is another one with use_sim_time: then it is what /clock says.
+        It is another clock with use_sim_time: then it is what /clock says.
         """
         if not self._ros_clock.ros_time_is_active:
             return ""
@@ -81,7 +81,7 @@ class Clocks:
         return words
 
     def watch(self) -> None:
-        """From now on the node itself says it when its clock stands still."""
+        """Watch the node's clock: from now on the node itself says it when the clock stands still."""
         self.every(_STANDS_NS / 1e9, self._watch)
 
     def _watch(self) -> None:
@@ -143,7 +143,7 @@ class Input:
         self._received_ns: int | None = None
         self._age_ns = 0
         self._said = False
-        self._publishers: list[str] = []  # who did last: one that has ended is not in the ROS graph any more
+        self._publishers: list[str] = []  # the last ones: a node that has ended is not in the ROS graph any more
         self._look_ns = 0  # the next time: the name of a publisher may stay unknown, and to ask at each message is slow
 
     def received(self, now_ns: int, age_ns: int = 0) -> None:
@@ -158,11 +158,11 @@ class Input:
         self._refused = words, time.monotonic_ns()
 
     def forget(self) -> None:
-        """As if nothing had ever been received."""
+        """Forget that anything was ever received."""
         self._received_ns, self._age_ns, self._said = None, 0, False
 
     def silence(self, now_ns: int) -> str:
-        """In words for how long nothing has come; empty while something comes."""
+        """Say for how long nothing has come, in words; empty while something comes."""
         words, refused_ns = self._refused
         refused = words if now_ns - refused_ns < self._silent_ns else ""
         if self._received_ns is None:
@@ -173,7 +173,7 @@ class Input:
         return refused or f"{self.who()}: nothing received for {silent_ns / 1e6:.0f} ms{self._note}"
 
     def old_data(self) -> str:
-        """In words what is wrong with the data that came last; empty if nothing is."""
+        """Say what is wrong with the data that came last, in words; empty if nothing is."""
         if self._age_ns < 0 or self._age_ns >= LATE_NS:
             wrong = "" if self._clocks is None else self._clocks.wrong(self._clocks.now_ns())
             if wrong:
@@ -185,7 +185,7 @@ class Input:
         return f"{self.who()} comes with data {self._age_ns / 1e6:.0f} ms old{self._note}"
 
     def late(self, now_ns: int) -> str:
-        """Why fresh data are missing, in words; empty if they are not."""
+        """Say in words why fresh data are missing; empty if they are not."""
         return self.silence(now_ns) or self.old_data()
 
     def watch(self, now_ns: int) -> str:

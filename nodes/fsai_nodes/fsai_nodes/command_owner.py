@@ -1,6 +1,6 @@
-"""Whose vehicle commands a run takes: two controllers must not be obeyed in turn. Pure.
+"""Owner of a run's vehicle commands: two controllers must not be obeyed in turn. Pure.
 
-A run belongs to the publisher that confirmed its reset, or, where none that commands has, to the one that spoke first.
+A run belongs to the publisher that confirmed its reset, or, where no publisher of commands has, to the first to speak.
 It is free again once its owner has sent nothing for so long that the command counts as lost: in AS_DRIVING the car has
 been stopped by then, and elsewhere a controller that was started again takes its place.
 """
@@ -36,7 +36,7 @@ class CommandOwner:
             self._confirmed.append(process_of(gid))
 
     def takes(self, run_id: int, gid: bytes, now_ns: int, present: Callable[[], frozenset[bytes]]) -> bool:
-        """Whether a command of the run counts. present: the GIDs of all that publish commands now."""
+        """Return true where a command of the run counts. present: the GIDs of all that publish commands now."""
         self._of_run(run_id)
         if self.gid is None or (gid != self.gid and now_ns - self._spoke_ns >= self._lost_ns):
             if self._confirmed and process_of(gid) not in self._confirmed:

@@ -1,4 +1,4 @@
-"""What a node has to complain of: each complaint at once in the log and in /diagnostics, then at most once a second."""
+"""Complaints of a node: each at once in the log and in /diagnostics, then at most once a second."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Complaints:
         self._diagnostics = publisher(node, DiagnosticArray, "diagnostics") if publishes else None
 
     def say(self, kind: str, text: str, level: Level = "warning", now_ns: int | None = None) -> None:
-        """`kind`: what is complained of, such as a topic; `text`: one sentence."""
+        """Say a complaint. `kind`: what is complained of, such as a topic; `text`: one sentence."""
         now_ns = time.monotonic_ns() if now_ns is None else now_ns
         if kind not in self._kinds and len(self._kinds) >= MOST:
             kind = "more"
@@ -54,7 +54,7 @@ class Complaints:
         self._publish(kind, line, level, one.count)
 
     def count(self, kind: str) -> int:
-        """How often there was a complaint of this kind."""
+        """Return how often there was a complaint of this kind."""
         return self._kinds[kind].count if kind in self._kinds else 0
 
     def _publish(self, kind: str, line: str, level: Level, count: int) -> None:

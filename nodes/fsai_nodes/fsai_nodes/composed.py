@@ -30,7 +30,7 @@ DEFAULT = ("cone_detector", "path_planner", "vehicle_controller")
 
 
 def factories(names: list[str]) -> list[Callable[[], Node]]:
-    """What makes the nodes called `names`, in order of CLASSES. Imports only those."""
+    """Return the factories of the nodes called `names`, in order of CLASSES. Imports only those."""
     modules = {name: importlib.import_module(f"fsai_nodes.{name}") for name in CLASSES if name in names}
     several_nodes(module.SETTINGS for module in modules.values())
     return [getattr(module, CLASSES[name]) for name, module in modules.items()]

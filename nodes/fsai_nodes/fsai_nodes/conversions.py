@@ -1,4 +1,4 @@
-"""Between the pure types of the driving chain and ROS messages, and from the car's units to SI.
+"""Conversion between the pure types of the driving chain and ROS messages, and from the car's units to SI.
 
 Pure but for the message classes. Every number is made a plain int or float here: the middleware does not check.
 """
@@ -60,7 +60,7 @@ def cones_to_msg(observation: ConeObservation, stamp: Time) -> ConeArray:
 
 
 def cones_from_msg(message: ConeArray, t_ns: int) -> ConeObservation:
-    """`t_ns`: the monotonic time of the message's stamp."""
+    """Make cones of a message. `t_ns`: the monotonic time of the message's stamp."""
     rows = [(cone.x, cone.y, cone.color, cone.confidence) for cone in message.cones]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     return ConeObservation(t_ns, table[:, :2].copy(), table[:, 2].astype(np.int64), table[:, 3].copy())
@@ -70,7 +70,7 @@ def cones_from_msg(message: ConeArray, t_ns: int) -> ConeObservation:
 
 
 def path_to_msg(xy_m: np.ndarray, stamp: Time) -> Path:
-    """xy_m: (M, 2), vehicle frame of the stamp's instant. Each pose looks along the path."""
+    """Make a path's message. xy_m: (M, 2), vehicle frame of the stamp's instant. Each pose looks along the path."""
     message = Path()
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME
@@ -89,6 +89,7 @@ def path_to_msg(xy_m: np.ndarray, stamp: Time) -> Path:
 
 
 def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
+    """Make a status and a path of the plan, both with `stamp`."""
     status = PlannerStatus(
         run_id=plan.run_id,
         mission=int(plan.mission),
@@ -108,6 +109,7 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
 
 
 def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan:
+    """Make a plan of a status and its path; `t_sensor_ns`: the monotonic time of their stamp."""
     points = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
     return Plan(
         t_sensor_ns=t_sensor_ns,
@@ -142,7 +144,7 @@ def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
 
 
 def command_from_msg(message: VehicleCommandMsg, t_sensor_ns: int) -> VehicleCommand:
-    """As received: what the car's own limits say of it is the gate's decision."""
+    """Make a command of a message, as received: what the car's own limits say of it is the gate's decision."""
     return VehicleCommand(t_sensor_ns, **{name: getattr(message, name) for name in _COMMANDED})
 
 
@@ -173,6 +175,7 @@ def motion_from_state(message: VehicleStateMsg, t_ns: int) -> Motion:
 
 
 def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
+    """Make an Odometry of the motion, with its standard deviations as covariances."""
     message = Odometry()
     message.header.stamp = stamp
     message.header.frame_id = ODOM_FRAME
@@ -192,12 +195,13 @@ def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
 # ---------------------------------------------------------------- vehicle state
 
 
-# Of 0x520, by the same names in the message.
+# Fields of 0x520 that have the same names in the message.
 _FLAGS = ("go_signal", "as_switch", "ts_switch", "shutdown_request", "fault", "warning")
 _STATES = ("shutdown_cause", "steering_status", "op_state", "ts_state", "ebs_state")
 
 
 def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> VehicleStateMsg:
+    """Make a VehicleState of the report; ages in s, NaN for what was never received."""
     message = VehicleStateMsg()
     message.header.stamp = stamp
     message.header.frame_id = ODOM_FRAME
@@ -278,9 +282,10 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
 
 
 def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> Imu | None:
-    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been received.
+    """Make an Imu of the PCAN-GPS's own sensors, in the sensor's axes, or else of 0x501.
 
-    What was not measured is marked as REP-145 has it: -1 in the first element of its covariance.
+    Returns None while neither has been received. What was not measured is marked as REP-145 has it: -1 in the first
+    element of its covariance.
     """
     message = Imu()
     message.header.frame_id = frame_id
@@ -316,7 +321,7 @@ _RANGE_ERROR_M = 3.0
 
 
 def fix_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> NavSatFix | None:
-    """None while no position has been received; STATUS_NO_FIX and NaN while the receiver says it has none."""
+    """Make a NavSatFix, with STATUS_NO_FIX and NaN while the receiver has none; None before any position."""
     latitude, longitude = gps.latitude, gps.longitude
     if latitude is None or longitude is None:
         return None

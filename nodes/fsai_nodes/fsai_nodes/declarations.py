@@ -53,7 +53,7 @@ _DRIVE = Parts(
     acceleration=Number(-1e3, 1e3),
     jerk=UNREAD,
 )
-# Of a parameter's value the parameter's own declaration decides; here only that it is of a type there is, and short.
+# A parameter's own declaration decides on its value; here only that it is of a type there is, and short.
 _LISTS = {f"{kind}_array_value": Several(FREE, 1000) for kind in ("byte", "bool", "integer", "double")}
 _VALUE = Parts(
     type=Whole(0, 9),
@@ -207,12 +207,12 @@ BYTES: Mapping[str, int] = MappingProxyType({"nav_msgs/Path": 2 * MOST_BYTES})  
 
 
 def key_of(kind: type[Any]) -> str:
-    """As DECLARED has a message class: 'fsai_msgs/ConeArray', 'fsai_msgs/SetMode_Request'."""
+    """Return a message class's key in DECLARED: 'fsai_msgs/ConeArray', 'fsai_msgs/SetMode_Request'."""
     return f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
 
 
 def declared(kind: type[Any]) -> Parts:
-    """What is declared of a type. Raises LookupError where nothing is."""
+    """Return what is declared of a type. Raises LookupError where nothing is."""
     key = key_of(kind)
     if key not in DECLARED:
         raise LookupError(f"{key} is taken by a node and not declared in fsai_nodes.declarations")

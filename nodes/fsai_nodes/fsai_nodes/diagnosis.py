@@ -24,7 +24,7 @@ def _ms(value_ns: int | None) -> str:
 
 
 def diagnostics_of(report: BridgeReport, stamp: Time, more: dict[str, object]) -> DiagnosticArray:
-    """`more`: what the runtime adds about its loop."""
+    """Make a DiagnosticArray of the report. `more`: what the runtime adds about its loop."""
     message = DiagnosticArray()
     message.header.stamp = stamp
     message.status = [_link(report), _supervision(report), _car(report), _loop(report, more)]
@@ -32,6 +32,7 @@ def diagnostics_of(report: BridgeReport, stamp: Time, more: dict[str, object]) -
 
 
 def _link(report: BridgeReport) -> DiagnosticStatus:
+    """Return the status of the link: gaps, response times, and ages and counts of messages."""
     values: dict[str, object] = {
         "gaps of 0x520": report.vcu_gaps,
         "response time ms": _ms(report.response_ns),
@@ -51,6 +52,7 @@ def _link(report: BridgeReport) -> DiagnosticStatus:
 
 
 def _supervision(report: BridgeReport) -> DiagnosticStatus:
+    """Return the status of the supervision: mode, phase and run, and what was wrong how often."""
     values: dict[str, object] = {
         "mode": report.mode,
         "phase": report.phase,
@@ -78,6 +80,7 @@ def _supervision(report: BridgeReport) -> DiagnosticStatus:
 
 
 def _car(report: BridgeReport) -> DiagnosticStatus:
+    """Return the status of the car: its states, switches and faults."""
     status = report.vehicle.status
     if status is None:
         return _status("car", DiagnosticStatus.STALE, "nothing received yet", {})

@@ -30,7 +30,7 @@ from fsai_nodes.qos import TOPICS
 from fsai_vcu.interface.units import S
 
 RECORDED_BYTES = 16 * 1024 * 1024  # of a message that is only recorded
-KEPT_RESULTS_S = 60  # for whoever asks for a goal's result late
+KEPT_RESULTS_S = 60  # for a client that asks for a goal's result late
 MOST_GOALS = 16  # followed at once
 _LOOK_EVERY_NS = S // 5  # for a sender that is not known yet: to ask at each message is slow
 
@@ -38,7 +38,7 @@ NOT_KNOWN = "_NODE_NAME_UNKNOWN_"  # a publisher is discovered before its node's
 
 
 class Senders:
-    """Who publishes one topic: names by the GID that the middleware gives each publisher."""
+    """Publishers of one topic: names by the GID that the middleware gives each publisher."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
@@ -59,7 +59,7 @@ class Senders:
         return " or ".join(sorted(set(self._names.values()))) if gid is None else ""
 
     def present(self) -> frozenset[bytes]:
-        """The GIDs of those who publish it now."""
+        """Return the GIDs of the nodes that publish it now."""
         return frozenset(gid_of(each) for each in self._look())
 
     def _look(self) -> list[Any]:
@@ -70,7 +70,7 @@ class Senders:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What is known of a message besides what is in it. `gid`: of its publisher, where the middleware tells it."""
+    """Facts about a message besides its content. `gid`: of its publisher, where the middleware tells it."""
 
     topic: str
     gid: bytes | None
@@ -83,7 +83,7 @@ class Message:
 
 
 class Door:
-    """One node's."""
+    """Door of a node."""
 
     def __init__(self, node: Node, *, publishes: bool = True) -> None:
         """publishes: complaints go to /diagnostics, too."""
@@ -102,7 +102,7 @@ class Door:
     ) -> Any:
         """Have `callback` called with each message on `topic` that fits.
 
-        refused: called with the sentence about one that does not. with_sender: `callback` gets a Message as well.
+        refused: called with the sentence about a message that does not. with_sender: `callback` gets a Message as well.
         Raises LookupError for a type that is not declared.
         """
         parts = declared(kind)
@@ -190,7 +190,7 @@ class Door:
         return words
 
     def _answer(self, what: str, ask: Callable[[Any], Any], argument: Any, otherwise: Any) -> Any:
-        """What `ask` says; `otherwise` where it raises, so that whoever asks has an answer."""
+        """Return what `ask` says; `otherwise` where it raises, so that the asker has an answer."""
         try:
             return ask(argument)
         except NodeError:
@@ -242,7 +242,7 @@ def _sentence(what: str, sender: str, why: str) -> str:
 
 
 def refusal_of_request(node: Node, service: Service, request: Any) -> str:
-    """Why a service's request is refused; empty where it fits. Said in the log, too."""
+    """Say why a service's request is refused; empty where it fits. Said in the log, too."""
     parts: Parts | None = DECLARED.get(key_of(type(request)))
     why = parts.misfit(request, "") if parts is not None else ""
     if why:

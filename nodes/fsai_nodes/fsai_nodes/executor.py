@@ -1,4 +1,4 @@
-"""Runs the callbacks of nodes; one that raises is reported, and ends nobody.
+"""Runs the callbacks of nodes; a callback that raises is reported, and ends nobody.
 
 Its output is missing, as if its input had not come. Only NodeError ends a node: it is the node's own word for it.
 A service whose callback raises answers with what its response is by default, success False, and why.
@@ -21,7 +21,7 @@ from fsai_nodes.middleware import Take, TakingExecutor
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.interface.units import S
 
-NOTHING_BUT_NS = S  # one that has only raised for so long says so
+NOTHING_BUT_NS = S  # a callback that has only raised for so long says so
 
 
 class NodeExecutor(TakingExecutor):
@@ -141,7 +141,7 @@ def _refused(service: Service, request: Any, why: str) -> Any:
 
 
 def _name(entity: Any) -> str:
-    """What it is, in words that stay the same."""
+    """Name an entity, in words that stay the same."""
     if entity is None:
         return "a task"
     for field in ("topic_name", "srv_name"):
@@ -153,7 +153,7 @@ def _name(entity: Any) -> str:
 
 
 def _place(error: Exception) -> str:
-    """Where it was raised: file and line."""
+    """Return where the error was raised: file and line."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -34,12 +34,12 @@ def shown(value: object) -> str:
 
 
 class Kind:
-    """What one field may hold."""
+    """Kind of content that one field may hold."""
 
     checked = True
 
     def misfit(self, value: Any, name: str) -> str:
-        """In words what is wrong with `value`, which is called `name`; empty where it fits."""
+        """Say in words what is wrong with `value`, which is called `name`; empty where it fits."""
         raise NotImplementedError
 
 
@@ -55,7 +55,7 @@ class Unread(Kind):
 
 @dataclass(frozen=True, slots=True)
 class Free(Kind):
-    """Whatever the message's own type allows: a flag, a counter."""
+    """Kind of a field with no bound but the message's own type: a flag, a counter."""
 
     checked = False
 
@@ -159,7 +159,7 @@ class Several(Kind):
     def __init__(self, each: Kind, most: int, *, leave_out: bool = False) -> None:
         self.each, self.most, self.leave_out = each, most, leave_out
         leaves = list(each.leaves()) if isinstance(each, Parts) else [("", each)] if each.checked else []
-        # What a column of numbers can be judged by, and what has to be looked at one by one.
+        # Kinds that judge a column of numbers, and kinds that have to be looked at one by one.
         self._columns = [(path, kind) for path, kind in leaves if isinstance(kind, (Number, Whole))]
         self._others = [(path, kind) for path, kind in leaves if not isinstance(kind, (Number, Whole))]
 

@@ -1,4 +1,4 @@
-"""Which processes drive, with which arguments; and those processes started, where there is no `ros2 launch`.
+"""Start the processes that drive, with their arguments, where there is no `ros2 launch`.
 
     python -m fsai_nodes.launch simulated_car:=true mission:=autocross        (--show-args lists the arguments)
 
@@ -119,7 +119,7 @@ class Program:
 
 
 def programs(given: Mapping[str, str]) -> list[Program]:
-    """What is to be started by the arguments given. Raises ValueError with one clear line."""
+    """Return what is to be started by the arguments given. Raises ValueError with one clear line."""
     known = {each.name: each for each in arguments()}
     wrong = misspelt(given, known)
     if wrong:
@@ -198,7 +198,9 @@ def bus_of(file: str) -> str:
 
 
 def run(started: Sequence[Program]) -> int:
-    """Start them all; when a needed one ends, or on SIGINT or SIGTERM, end the others. The status is that one's."""
+    """Start them all; when a needed one ends, or on SIGINT or SIGTERM, end the others. The status is that of the
+    needed process.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
     processes: dict[int, tuple[Program, subprocess.Popen[bytes]]] = {}
@@ -252,6 +254,7 @@ def _shown(each: Argument) -> str:
 
 
 def main() -> int:
+    """Run the command line: list the arguments, or start the processes; return the exit status."""
     words = sys.argv[1:]
     if {"-h", "--help", "--show-args"} & set(words):
         print(__doc__, *map(_shown, arguments()), sep="\n")

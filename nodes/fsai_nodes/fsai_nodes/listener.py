@@ -26,7 +26,7 @@ class Listener:
     """
 
     def __init__(self, name: str, namespace: str) -> None:
-        """Raises ValueError where `namespace` is none."""
+        """Start ROS for this program. Raises ValueError where `namespace` is none."""
         self._context = Context()
         set_transport(os.environ)
         # It leaves no log file behind, and needs no place for one.

@@ -1,6 +1,6 @@
-"""What depends on rclpy's version, and what rclpy does not tell: all of it is here.
+"""Dependence on rclpy's version, and on what rclpy does not tell: all of it is here.
 
-Written for rclpy 7 (Jazzy) and 3 (Humble), which is told by what it lacks. rclpy gives a callback no word of who sent
+Written for rclpy 7 (Jazzy) and 3 (Humble), which is told by what it lacks. rclpy does not tell a callback the sender of
 a message; the middleware knows it (the GID of the publisher), and `Taker` asks for it where the C libraries are laid
 out as expected. Where they are not, nothing is lost but the name.
 """
@@ -88,6 +88,7 @@ class TakingExecutor(SingleThreadedExecutor):  # type: ignore[misc]  # rclpy has
 
 
 def _take_and_handle(kind: str) -> Callable[[Any, Any], Any]:
+    """Return the method by which a Humble executor takes an entity of this kind and gives the call that handles it."""
     execute = getattr(SingleThreadedExecutor, f"_execute_{kind}")
 
     def taken(executor: Any, entity: Any) -> Callable[[], Coroutine[Any, Any, None]]:
@@ -140,7 +141,7 @@ class Taker:
     """Takes one subscription's messages as bytes, each with the GID of its publisher."""
 
     def __init__(self) -> None:
-        """Raises OSError or AttributeError where the C libraries are not as expected."""
+        """Look for the C libraries. Raises OSError or AttributeError where they are not as expected."""
         self._rcl = ctypes.CDLL("librcl.so")
         rcutils = ctypes.CDLL("librcutils.so")
         rmw = ctypes.CDLL(f"lib{rclpy.get_rmw_implementation_identifier()}.so")
@@ -199,7 +200,7 @@ class Taker:
 
 
 def taker() -> Taker | None:
-    """None where senders cannot be known."""
+    """Return a Taker; None where senders cannot be known."""
     try:
         return Taker()
     except (OSError, AttributeError):
@@ -207,7 +208,7 @@ def taker() -> Taker | None:
 
 
 def gid_of(endpoint: Any) -> bytes:
-    """As `Taker` tells it, of an entry of get_publishers_info_by_topic."""
+    """Return an endpoint's GID as `Taker` tells it, of an entry of get_publishers_info_by_topic."""
     return bytes(endpoint.endpoint_gid[:_GID_BYTES])
 
 

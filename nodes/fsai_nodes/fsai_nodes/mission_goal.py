@@ -1,4 +1,4 @@
-"""What a /run_mission goal waits for, as a table; pure."""
+"""Steps that a /run_mission goal waits for, as a table; pure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MISSIONS: Mapping[str, Ami] = MappingProxyType({ami.name.lower(): ami for ami in
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """How it ended: `ended` for programs, `message` for people."""
+    """End of a goal: `ended` for programs, `message` for people."""
 
     success: bool
     ended: str
@@ -52,7 +52,7 @@ class Waiting:
     """One goal being waited for. Fed with what the car says; returns an outcome once."""
 
     def __init__(self, mission: str, until: str, timeout_s: float, now_ns: int) -> None:
-        """As declared for RunMission: a mission or none, one of GOALS or none, 0 s or more (0: no limit)."""
+        """Wait as declared for RunMission: a mission or none, one of GOALS or none, a time (0 s: no limit)."""
         self.until = until or DEFAULT_GOAL
         self._mission = MISSIONS.get(mission.lower())
         self._timeout_s = timeout_s
@@ -61,7 +61,7 @@ class Waiting:
         self._drove = False
 
     def duration_s(self, now_ns: int) -> float:
-        """Since the goal was taken; never negative, though `now_ns` was read before that."""
+        """Return the time since the goal was taken; never negative, though `now_ns` was read before that."""
         return max(0, now_ns - self._began_ns) / 1e9
 
     def step(

@@ -49,6 +49,7 @@ class NodeParameter:
     live: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
+        """Return the parameter's descriptor, as ROS tools show it."""
         constraints = []
         if self.choices:
             constraints.append("one of: " + ", ".join(self.choices))
@@ -71,7 +72,7 @@ class NodeParameter:
         return descriptor
 
     def problem(self, value: object) -> str | None:
-        """Why `value` cannot be this parameter; None when it can."""
+        """Say why `value` cannot be this parameter; None when it can."""
         wanted = type(self.default)
         whole = isinstance(self.default, (float, str)) and isinstance(value, int) and not isinstance(value, bool)
         if type(value) is not wanted and not whole:
@@ -89,7 +90,7 @@ class NodeParameter:
 
 
 def of_the_file(node: str, note: str = "", *, live: bool = False) -> tuple[NodeParameter, ...]:
-    """Those of the node's parameters that the configuration file has, too: what they are stands in its KEYS.
+    """Return those of the node's parameters that the configuration file has, too: its KEYS describe them.
 
     note: a sentence more for each.
     """
@@ -121,7 +122,9 @@ class Scattered:
 
     @classmethod
     def among(cls, arguments: Sequence[str]) -> Scattered:
-        """A file that cannot be read is left to ROS to complain of."""
+        """Return the parameters of the arguments that name no node. A file that cannot be read is left to ROS to
+        complain of.
+        """
         unnamed: set[str] = set()
         of_files: set[str] = set()
         for option, value in pairwise(arguments):
@@ -175,7 +178,7 @@ _of_this_process: set[str] = set()
 
 
 def several_nodes(tables: Iterable[Sequence[NodeParameter]]) -> None:
-    """This process holds several nodes, which have these parameters."""
+    """Note that this process holds several nodes, which have these parameters."""
     _of_this_process.update(setting.name for table in tables for setting in table)
 
 
@@ -187,7 +190,7 @@ class _UnknownParameter(ParameterNotDeclaredException):  # type: ignore[misc]  #
 
 
 def misspelt(given: Iterable[str], known: Iterable[str]) -> str:
-    """Which of the names `given` are nearly one of `known`, and which; empty where all are right, or quite others."""
+    """Say which of the names `given` are nearly one of `known`, and which; '' where all are right, or quite others."""
     known = list(known)
     close = {name: get_close_matches(name, known, n=1) for name in given if name not in known}
     return "; ".join(f"unknown argument {name}: did you mean {meant[0]}?" for name, meant in close.items() if meant)
@@ -243,7 +246,7 @@ class Settings:
             raise NodeError(f"parameter {problem}")
 
     def _unknown(self, name: str, also: Iterable[str] = ()) -> str:
-        """`also`: other names that may have been meant."""
+        """Say that a parameter is unknown; `also`: other names that may have been meant."""
         close = next(iter(get_close_matches(name, [*self._table, *also], n=1)), None)
         words = f"did you mean {close}?" if close else f"{self._node.get_name()} has {', '.join(self._table)}"
         return f"unknown parameter {name}: {words}"
@@ -259,7 +262,7 @@ class Settings:
         refused = []
         for name in given:
             if name in scattered.of_files:
-                # Other nodes read that file, too: only what is nearly a name of ours is likely to be meant for us.
+                # Other nodes read that file, too: only what is nearly one of these names is likely to be meant.
                 if get_close_matches(name, self._table, n=1):
                     self._node.get_logger().warning(f"{self._unknown(name)} (under /** in a parameter file)")
             elif name not in scattered.unnamed:
@@ -284,7 +287,7 @@ class Settings:
         return SetParametersResult(successful=True)
 
     def _why_not(self, parameter: Parameter) -> str | None:
-        """Why it cannot be set; None where it can."""
+        """Say why it cannot be set; None where it can."""
         if parameter.name == CLOCK and parameter.value != self._node.get_parameter(CLOCK).value:
             return f"{CLOCK} cannot change while the node runs: restart it with the new value"
         setting = self._table.get(parameter.name)

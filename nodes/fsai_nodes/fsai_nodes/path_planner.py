@@ -38,6 +38,7 @@ class PathPlanner(Node):
     """Plans with every set of cones; forgets everything when the bridge announces a new run, and says so."""
 
     def __init__(self, **options: object) -> None:
+        """Read the parameters, and make the publishers and subscriptions."""
         super().__init__("path_planner", **options)
         # It loads scipy: now, and not when the first run is announced, while the node would answer nobody.
         import fsai_vcu.core.planning.racing  # noqa: F401
@@ -88,7 +89,7 @@ class PathPlanner(Node):
             self._motion = motion_from_state(message, t_ns)
 
     def _watch(self) -> None:
-        """While driving, say whose silence it is that there is no path."""
+        """Say, while driving, whose silence it is that there is no path."""
         run = self._run
         if run is None or not run.may_move or run.mission in WITHOUT_PATH:
             return
@@ -96,6 +97,7 @@ class PathPlanner(Node):
             self._status.publish(PlannerStatus(run_id=run.run_id, mission=int(run.mission), late=late))
 
     def _on_cones(self, message: ConeArray) -> None:
+        """Plan with a set of cones, and publish path and status; an empty path where no way is known."""
         now_ns = self._clocks.now_ns()
         age_ns = now_ns - self._clocks.steady_of(message.header.stamp, now_ns)
         self._cones.received(now_ns, age_ns)

@@ -36,7 +36,7 @@ class PitWall(Listener):
     """`look` gives what the page shows more of, where the nodes run."""
 
     def __init__(self, namespace: str = "/") -> None:
-        """Raises ValueError where that is no namespace."""
+        """Subscribe in `namespace`. Raises ValueError where that is no namespace."""
         super().__init__("pitwall", namespace)
         self._lock = threading.Lock()
         self._clocks = Clocks(self._node)
@@ -63,7 +63,7 @@ class PitWall(Listener):
             )
 
     def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """As JSON types: what changes all the time, and the longer rest.
+        """Return as JSON types what changes all the time, and the longer rest.
 
         Only words, and nothing to draw, while the nodes are silent. Lengths are cm in the frame of the odometry.
         """
@@ -116,7 +116,7 @@ class PitWall(Listener):
         return topic in self._newest_ns and now_ns - self._newest_ns[topic] < SHOWN_NS
 
     def _seen(self, now_ns: int) -> list[int]:
-        """x, y, colour of each cone."""
+        """Return x, y (cm) and colour of each cone, one after the other."""
         seen = self._scene.seen
         there = self._scene.history.at(seen.t_ns)
         if there is None or not self._fresh("detected_cones", now_ns):
@@ -124,13 +124,13 @@ class PitWall(Listener):
         return _cm(np.column_stack([to_odometry(there, seen.xy_m), seen.color]))
 
     def _plan(self, now_ns: int) -> Plan | None:
-        """The one that may still be driven by."""
+        """Return the plan that may still be driven by."""
         if not self._fresh("path", now_ns):
             return None
         return plan_from_msgs(self._scene.status, self._scene.path, self._newest_ns["path"])
 
     def _drawn(self, plan: Plan | None) -> dict[str, Any]:
-        """The path; how many of its points are borne out; which of them is the place to stop at."""
+        """Return the path; how many of its points are borne out; which of them is the place to stop at."""
         there = None if plan is None else self._scene.history.at(plan.t_sensor_ns)
         if plan is None or there is None or not len(plan.path_m):
             return {"path_cm": []}
@@ -141,6 +141,7 @@ class PitWall(Listener):
         return {"path_cm": _cm(to_odometry(there, plan.path_m)), "borne_out": borne_out, "stop": stop}
 
     def _words(self, plan: Plan | None, now_ns: int) -> Iterator[Row]:
+        """Yield the lines on bridge, planner and controller, each with its level."""
         state = self._scene.state
         urgent = "warning" if state.as_state == AsState.AS_DRIVING else ""
         if state.emergency:
@@ -177,7 +178,7 @@ def _planned(plan: Plan) -> Iterator[str]:
 
 
 def _cm(rows: np.ndarray) -> list[int]:
-    """x, y in cm, and as it is what stands beside them, one after the other."""
+    """Return rows as whole numbers: x, y in cm, and as it is what stands beside them, one after the other."""
     scaled = rows.copy()
     scaled[:, :2] *= 100.0
     whole: list[int] = np.rint(scaled).astype(int).ravel().tolist()

@@ -85,8 +85,8 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
 
 
 def log_trouble(environ: Mapping[str, str]) -> str:
-    """Why ROS cannot keep log files, in one line, or ''. It would not start at all for that."""
-    # As rcl_logging has it.
+    """Say in one line why ROS cannot keep log files, or ''. It would not start at all for that."""
+    # The rule of rcl_logging.
     home = environ.get("ROS_HOME") or Path(environ.get("HOME", "/")) / ".ros"
     folder = Path(environ.get("ROS_LOG_DIR") or Path(home) / "log").expanduser()
     try:
@@ -98,7 +98,7 @@ def log_trouble(environ: Mapping[str, str]) -> str:
 
 
 def _tell_systemd(node: Node) -> None:
-    """Ready now; and the watchdog is fed by the executor, so that a node that hangs is started again."""
+    """Tell systemd that the node is ready; the executor feeds the watchdog, so that a hanging node is started again."""
     notifier = Notifier()
     notifier.send("READY=1")
     if notifier.watchdog_period_ns:
@@ -123,7 +123,7 @@ class _StopSignals:
         threading.Thread(target=self._read, name="signals", daemon=True).start()
 
     def wake(self, wake: Callable[[], object]) -> None:
-        """`wake` is called when a signal has come, from another thread."""
+        """Have `wake` called when a signal has come, from another thread."""
         self._wake = wake
         if self.received.is_set():
             wake()

@@ -60,7 +60,7 @@ TOPICS: Mapping[str, QoSProfile] = MappingProxyType(
         "robot_description": STATE,
     }
 )
-# As tf2 has them: outside of any namespace.
+# Topics of tf2, outside of any namespace.
 FRAMES: Mapping[str, QoSProfile] = MappingProxyType({"/tf": profile(100), "/tf_static": profile(10, kept=True)})
 
 

@@ -50,7 +50,7 @@ class TopicRecorder(Listener):
 
     @property
     def topics(self) -> list[str]:
-        """Those that are being recorded."""
+        """Topics that are being recorded."""
         return sorted(self._subscriptions)
 
     def start(self) -> None:
@@ -139,13 +139,13 @@ def _msg_text(type_name: str) -> str:
 
 
 def _types_in(type_name: str) -> list[str]:
-    """The message types of its fields: they read as 'float64', 'std_msgs/Header', 'sequence<geometry_msgs/Point>'."""
+    """Return the message types of a type's fields: 'float64', 'std_msgs/Header', 'sequence<geometry_msgs/Point>'."""
     fields = " ".join(class_of(type_name).get_fields_and_field_types().values())
     return [f"{package}/msg/{name}" for package, name in re.findall(r"(\w+)/(\w+)", fields)]
 
 
 def _yaml(qos: QoSProfile) -> str:
-    """As rosbag2 writes the offered profiles of a topic."""
+    """Return the offered profiles of a topic as rosbag2 writes them."""
     forever = "sec: 9223372036\n    nsec: 854775807"
     return (
         f"- history: keep_last\n  depth: {qos.depth}\n  reliability: {qos.reliability.name.lower()}\n"

@@ -1,4 +1,4 @@
-"""What the bridge has to say that is new: its reports turned into lines for the log. Pure."""
+"""News of the bridge: its reports turned into lines for the log. Pure."""
 
 from __future__ import annotations
 
@@ -24,12 +24,14 @@ Level = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True, slots=True)
 class ReportLine:
+    """Line for the log, with its level."""
+
     text: str
     level: Level = "info"
 
 
 class Culprit:
-    """Which node a stale vehicle command is missing; the core knows only for how long."""
+    """Finder of the node that a stale vehicle command is missing; the core knows only for how long."""
 
     def __init__(self) -> None:
         self._seen: tuple[int, str | None] = 0, None
@@ -72,6 +74,7 @@ class News:
         self._said_ns: dict[str, int] = {}
 
     def of(self, report: BridgeReport) -> list[ReportLine]:
+        """Return the lines on what is new in this report."""
         lines = [
             ReportLine(text, level)
             for key, text, quiet, level in self._facts(report)

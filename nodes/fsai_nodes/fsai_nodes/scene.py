@@ -1,4 +1,4 @@
-"""What the nodes last said of one run, to be drawn: the car, cones seen and remembered, the path and its status."""
+"""Scene of one run, as the nodes last told it, to be drawn: car, cones seen and remembered, path and its status."""
 
 from __future__ import annotations
 

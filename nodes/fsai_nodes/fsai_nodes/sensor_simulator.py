@@ -57,6 +57,7 @@ class SensorSimulator(Node):
     """Looks at `rate_hz`; silent while no simulated car is received."""
 
     def __init__(self, **options: object) -> None:
+        """Read the parameters and open the side channel. Raises NodeError where its port cannot be had."""
         super().__init__("sensor_simulator", **options)
         self._settings = Settings(self, SETTINGS, self._on_change)
         self._clocks = Clocks(self)

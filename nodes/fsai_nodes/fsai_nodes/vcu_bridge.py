@@ -138,11 +138,12 @@ def _reported(transition: _Transition) -> _Transition:
 
 
 class VcuBridge(LifecycleNode):
-    """Raises NodeError from its constructor when it starts by itself and cannot."""
+    """Node between ROS and the CAN loop. Its constructor raises NodeError when it starts by itself and cannot."""
 
     tells_systemd = True  # the CAN loop does: its watchdog is fed by cycles that met their deadline, by nothing else
 
     def __init__(self, **options: object) -> None:
+        """Declare the parameters, and configure and activate the node unless set otherwise."""
         super().__init__("vcu_bridge", **options)
         self._trouble = ""  # why the last transition failed
         self._starting = True  # this constructor runs
@@ -218,6 +219,7 @@ class VcuBridge(LifecycleNode):
 
     @_reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Have the loop take the interface and run, and publish from then on what it reports."""
         configured, loop = self._configured, self._process
         assert configured is not None and loop is not None, "the lifecycle activates only what is configured"
         try:
@@ -252,7 +254,7 @@ class VcuBridge(LifecycleNode):
 
     @_reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Cleaned up, shut down or after an error: neither a loop nor its process is left."""
+        """Clean up, also on a shutdown or after an error: neither a loop nor its process is left."""
         self._end_loop()
         self._end_process()
         return super().on_cleanup(state)
@@ -260,7 +262,7 @@ class VcuBridge(LifecycleNode):
     on_shutdown = on_error = on_cleanup
 
     def stop(self) -> None:
-        """The process ends: say goodbye to the car first."""
+        """Say goodbye to the car before the process ends."""
         if self._loop is not None:
             self.trigger_deactivate()
 
@@ -341,6 +343,7 @@ class VcuBridge(LifecycleNode):
     # ------------------------------------------------------------ from ROS to the car
 
     def _on_command(self, message: VehicleCommand, came: Message) -> None:
+        """Hand a command that counts to the loop."""
         loop = self._loop
         if loop is None:
             return
@@ -359,7 +362,7 @@ class VcuBridge(LifecycleNode):
             self._on_refused_command(self._door.refuse(came.topic, came.sender, words))
 
     def _is_the_runs(self, message: VehicleCommand, came: Message, now_ns: int) -> bool:
-        """Whether the command is of the one publisher whose commands the run takes."""
+        """Return true where the command is of the one publisher whose commands the run takes."""
         run = self._last_run
         if run is None or message.run_id != run.run_id:
             return True  # it counts as none, and the loop says so
@@ -378,7 +381,7 @@ class VcuBridge(LifecycleNode):
         self._refused_command = words
 
     def _whose_silence(self) -> str:
-        """Which input is missing, in words, where the vehicle command is stale."""
+        """Say in words which input is missing where the vehicle command is stale."""
         now_ns = self._clocks.now_ns()
         silence = self._commands.silence(now_ns) or self._note
         return silence or self._commands.old_data() or "commands come, but late or refused"
@@ -394,7 +397,9 @@ class VcuBridge(LifecycleNode):
             self._door.refuse(came.topic, came.sender, words)
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
-        """`manual` or `autonomous` (`fsai-vcu mode`); refused with the reason. It says so if it was that already."""
+        """Sets the mode, `manual` or `autonomous` (`fsai-vcu mode`); a refusal has the reason. It says if that was the
+        mode already.
+        """
         return self._served(response, f"set_mode '{request.mode}'", lambda loop: loop.set_mode(request.mode))
 
     def _on_emergency_brake(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -402,7 +407,7 @@ class VcuBridge(LifecycleNode):
         return self._served(response, "emergency_brake", lambda loop: loop.emergency_brake("by /emergency_brake"))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Clears it, in AS_INIT and AS_OFF (`fsai-vcu reset`)."""
+        """Clears the latched ESTOP_REQUEST, in AS_INIT and AS_OFF (`fsai-vcu reset`)."""
         return self._served(response, "reset", LoopHandle.reset)
 
     def _served(self, response: Any, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> Any:
@@ -410,7 +415,9 @@ class VcuBridge(LifecycleNode):
         return response
 
     def _ask(self, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> tuple[bool, str]:
-        """The loop's answer; to the log, once: who is refused tends to ask again at once."""
+        """Ask the loop and return its answer. The log gets it once: a caller that is refused tends to ask again at
+        once.
+        """
         done, message = (False, _INACTIVE) if self._loop is None else ask(self._loop)
         line = f"{request}: {message}"
         if line != self._last_answer:
@@ -421,10 +428,11 @@ class VcuBridge(LifecycleNode):
     # ------------------------------------------------------------ from the car to ROS
 
     def _report(self, loop: LoopHandle) -> BridgeReport:
-        """The newest report, in which a stale command is somebody's silence."""
+        """Return the newest report, in which a stale command is somebody's silence."""
         return self._culprit.named(loop.report(), self._whose_silence)
 
     def _publish(self) -> None:
+        """Publish what the loop last reported. Raises NodeError where the loop has ended by itself."""
         loop = self._loop
         if loop is None:
             return
@@ -467,6 +475,7 @@ class VcuBridge(LifecycleNode):
         self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
 
     def _publish_motion(self, report: BridgeReport) -> None:
+        """Publish the motion and the sensors' values, where somebody reads them."""
         if report.motion.t_ns != self._last_motion_ns:  # of a car that is not received there is no motion
             self._last_motion_ns = report.motion.t_ns
             stamp = self._clocks.stamp_of(report.motion.t_ns)
@@ -519,14 +528,16 @@ class VcuBridge(LifecycleNode):
         self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
 
     def _on_cancel(self, _handle: ServerGoalHandle) -> CancelResponse:
-        """Whoever cancels wants the car to stop, or not to start: mode manual. Rejected where that is not done."""
+        """Set the mode to manual: a client that cancels wants the car to stop, or not to start. Rejected where that is
+        not done.
+        """
         done, _ = self._ask("run_mission cancelled", lambda loop: loop.set_mode("manual"))
         return CancelResponse.ACCEPT if done else CancelResponse.REJECT
 
     def _step_goals(
         self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None, *, gone: bool = False
     ) -> None:
-        """gone: a drive that was cancelled is over, whatever the car said last."""
+        """Advance all goals. gone: a drive that was cancelled is over, whatever the car said last."""
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
@@ -542,6 +553,7 @@ class VcuBridge(LifecycleNode):
                 handle.publish_feedback(_feedback(report))
 
     def _result_of(self, handle: ServerGoalHandle) -> RunMission.Result:
+        """End a goal, and return its result."""
         following = self._goals.pop(bytes(handle.goal_id.uuid))
         outcome, report = following.outcome, following.report
         assert outcome is not None and report is not None, "executed only when there is an outcome"
@@ -643,7 +655,7 @@ def limits_of(text: str) -> OperationalLimits | None:
 
 
 def wheel_mapping_of(text: str) -> WheelMapping:
-    """fl=fr,fr=fl. Raises ValueError."""
+    """Parse a mapping such as fl=fr,fr=fl. Raises ValueError."""
     pairs = [part.strip() for part in text.split(",") if part.strip()]
     for pair in pairs:
         if pair.count("=") != 1:

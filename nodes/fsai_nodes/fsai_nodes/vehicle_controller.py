@@ -37,6 +37,7 @@ class VehicleController(Node):
     """Sends a command on every tick of the monotonic clock, with the newest plan and the newest state of the car."""
 
     def __init__(self, **options: object) -> None:
+        """Read the parameters, and make publishers, subscriptions and the timer of the commands."""
         super().__init__("vehicle_controller", **options)
         self._settings = Settings(self, SETTINGS, self._on_change)
         self._clocks = Clocks(self)
@@ -81,6 +82,7 @@ class VehicleController(Node):
             self.get_logger().warning(line)
 
     def _on_state(self, message: VehicleState) -> None:
+        """Take in a state of the car; a state of another run counts as none."""
         if not self._limits_received:
             self._limits_received = True
             if (
@@ -127,6 +129,7 @@ class VehicleController(Node):
             self._plan = plan_from_msgs(status, path, seen_ns)
 
     def _tick(self) -> None:
+        """Send the command that is due, and log why the car does not drive."""
         run = self._run
         if self._state is None or run is None:
             return
@@ -154,7 +157,7 @@ class VehicleController(Node):
         self._command.publish(message)
 
     def _late_input(self, sensor_ns: int, now_ns: int, *, stuck: bool) -> str:
-        """Whose silence makes the data behind a command old, or leaves the controller `stuck`; else empty."""
+        """Say whose silence makes the data behind a command old, or leaves the controller `stuck`; else ''."""
         old = now_ns - sensor_ns >= LATE_NS
         if old and (self._plan is None or sensor_ns != self._plan.t_sensor_ns):
             return self._states.late(now_ns)

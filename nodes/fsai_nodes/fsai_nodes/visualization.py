@@ -51,6 +51,7 @@ class Visualization(Node):
     """Draws the scene while somebody looks."""
 
     def __init__(self, **options: object) -> None:
+        """Subscribe to what is drawn, and publish the car's model and its fixed frames once."""
         super().__init__("visualization", **options)
         self._settings = Settings(self, SETTINGS, lambda _name: None)
         self._clocks = Clocks(self)
@@ -84,7 +85,7 @@ class Visualization(Node):
         self._markers.publish(MarkerArray(markers=[before, driven, unsure, seen, *planned, *self._car()]))
 
     def _car(self) -> list[Marker]:
-        """Its outline, and over it what it is doing."""
+        """Draw the car's outline, and over it what it is doing."""
         state, status = self._scene.state, self._scene.status
         header = Header(frame_id=BASE_FRAME)
         outline = _marker("car", header, Marker.LINE_STRIP, (0.06, 0.0, 0.0), (1.0, 1.0, 1.0))

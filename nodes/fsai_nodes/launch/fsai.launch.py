@@ -25,6 +25,7 @@ def rviz():
 
 
 def start(context):
+    """Return the processes to start by the launch arguments, and RViz where it is asked for."""
     # ROS ignores an argument that nobody declares; those of a launch file that includes this one are seen here, too.
     given = dict(context.launch_configurations)
     actions = [rviz()] if given.get("rviz") == "true" else []
