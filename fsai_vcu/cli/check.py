@@ -6,12 +6,14 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import Decoding, LogRead, Sources, add_log_arguments, check_seconds, judged, write_out
+from fsai_vcu.cli.decoding import Decoding
+from fsai_vcu.cli.output import write_out
+from fsai_vcu.cli.sources import LogRead, Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.verdict import Judged
+    from fsai_vcu.diagnostics.verdict.judging import Judged
 
 EXAMPLE = "fsai-vcu check run.log && echo the bus was well\n  fsai-vcu check can0 --seconds 10 --figures"
 _NAMED = 8  # files that are left out

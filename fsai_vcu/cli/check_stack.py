@@ -12,7 +12,7 @@ from typing import Any
 from fsai_vcu.arguments import check_numbers
 from fsai_vcu.cli.services import operator_node
 from fsai_vcu.diagnostics.finding import Finding
-from fsai_vcu.diagnostics.stack import TOPICS, Ends, StackWatch
+from fsai_vcu.diagnostics.stack.watch import TOPICS, Ends, StackWatch
 from fsai_vcu.printable import LINE, printable
 
 EXAMPLE = "fsai-vcu check-stack --seconds 20 && echo in order"

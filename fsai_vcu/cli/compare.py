@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, Final
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_part_arguments, judged
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.sources import Sources, add_part_arguments, judged
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics
-from fsai_vcu.diagnostics.verdict import Verdict
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"

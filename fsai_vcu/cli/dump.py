@@ -9,15 +9,9 @@ import sys
 import time
 from typing import Final
 
-from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    part_of,
-    write_out,
-)
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.output import write_out
+from fsai_vcu.cli.sources import SOURCE_HELP, Sources, add_part_arguments, part_of
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text

@@ -9,7 +9,8 @@ import sys
 from collections.abc import Iterable
 from dataclasses import replace
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged
+from fsai_vcu.cli.decoding import Decoding
+from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 
 EXAMPLE = "fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"

@@ -6,15 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from fsai_vcu.cli.sources import (
-    LOG_HELP,
-    Decoding,
-    Progress,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    part_of,
-)
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.output import Progress
+from fsai_vcu.cli.sources import LOG_HELP, Sources, add_part_arguments, part_of
 from fsai_vcu.diagnostics.export.wide import raster_ns
 from fsai_vcu.diagnostics.export.writing import check_format, export
 from fsai_vcu.interface.errors import UserError, WrongUse

@@ -11,15 +11,8 @@ from importlib.resources import files
 from itertools import chain, islice
 from typing import Any, Final
 
-from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
-    Decoding,
-    Sources,
-    add_part_arguments,
-    add_server_arguments,
-    check_server,
-    part_of,
-)
+from fsai_vcu.cli.decoding import Decoding
+from fsai_vcu.cli.sources import SOURCE_HELP, Sources, add_part_arguments, add_server_arguments, check_server, part_of
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError, WrongUse
 

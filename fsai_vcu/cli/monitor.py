@@ -16,22 +16,17 @@ from itertools import chain, islice
 from pathlib import Path
 
 from fsai_vcu.arguments import check_numbers
-from fsai_vcu.cli.sources import (
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    add_sources_argument,
-    part_of,
-    write_out,
-)
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.output import write_out
+from fsai_vcu.cli.sources import Sources, add_part_arguments, add_sources_argument, part_of
 from fsai_vcu.diagnostics.explain.record import NoFrames
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
-from fsai_vcu.diagnostics.verdict import Verdict, judged
+from fsai_vcu.diagnostics.verdict.judging import judged
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.units import S
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.arguments import check_numbers
+from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.services import nodes_module, ros_errors
 from fsai_vcu.cli.sources import (
-    Decoding,
     Sources,
     add_part_arguments,
     add_server_arguments,

@@ -8,14 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli import report
-from fsai_vcu.cli.sources import (
-    LOG_HELP,
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    part_of,
-)
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.sources import LOG_HELP, Sources, add_part_arguments, part_of
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.log.filters import name_and_filters

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsai_vcu.arguments import add_bus_argument, check_numbers
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
 from fsai_vcu.cli.ending import ending
 from fsai_vcu.cli.main import main
 from fsai_vcu.cli.services import nodes_module, ros_errors
-from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.export.writing import check_format
 from fsai_vcu.diagnostics.log.live import Listener

@@ -11,15 +11,9 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.arguments import check_numbers
-from fsai_vcu.cli.sources import (
-    LOG_HELP,
-    Decoding,
-    Progress,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    part_of,
-)
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.output import Progress
+from fsai_vcu.cli.sources import LOG_HELP, Sources, add_part_arguments, part_of
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
 from fsai_vcu.interface.errors import UserError, WrongUse

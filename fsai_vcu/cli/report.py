@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, judged
+from fsai_vcu.cli.decoding import Decoding
+from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.interface.errors import UserError
 

@@ -10,7 +10,7 @@ import time
 from contextlib import ExitStack
 
 from fsai_vcu.arguments import BUS_HELP, check_numbers
-from fsai_vcu.cli.sources import add_database_arguments
+from fsai_vcu.cli.decoding import add_database_arguments
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.transmit.sending import Outgoing, outgoing
 from fsai_vcu.interface.errors import UserError, WrongUse

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 import signal
 import sys
@@ -11,43 +10,30 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from copy import copy
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fsai_vcu.cli.ending import ending
-from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
-from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.decode.lines import LineWriter
-from fsai_vcu.diagnostics.decode.revision import told_revision
-from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, name_and_filters, split_source
-from fsai_vcu.diagnostics.log.formats import format_of
-from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames, joined
+from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
+from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
-from fsai_vcu.diagnostics.log.reader import LogError, open_log
+from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.diagnostics.log.recorded import Recorded, is_virtual, lost_words, recorded
-from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
-from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
-from fsai_vcu.interface.revisions import REVISIONS
-from fsai_vcu.interface.revisions import revision as revision_named
-from fsai_vcu.interface.units import S
 from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.reader import Log
-    from fsai_vcu.diagnostics.verdict import Judged
+    from fsai_vcu.diagnostics.verdict.judging import Judged
+from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.log_files import NOTHING_READ, first_stamp, goes_on, is_log, last_stamp, unfolded
+from fsai_vcu.cli.output import Progress
 
 LOG_HELP: Final = (
     "a log (candump, BLF, ASC, MF4, TRC, CSV, pcap and others, packed or not; - is standard input), a folder of logs"
 )
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
-LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})
-_BESIDE: Final = frozenset({".json", ".png", ".svg", ".html"})
-_MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".db3", ".sqlite"})  # their content tells
 _PROBLEMS_SHOWN = 5
-NOTHING_READ: Final = 1 << 63  # later than any log begins
-_PROGRESS_S = 1.0
 
 
 def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
@@ -100,7 +86,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
         names = " | ".join(run.name for run in runs)
         raise UserError(f"these logs have clocks of their own, so they are {len(runs)} runs; name one: {names}")
     from fsai_vcu.diagnostics.explain.record import NoFrames
-    from fsai_vcu.diagnostics.verdict import judged as judged_frames
+    from fsai_vcu.diagnostics.verdict.judging import judged as judged_frames
 
     part, progress = part_of(args, decoding), Progress()
     frames = sources.everything(getattr(args, "seconds", None), progress.reading)
@@ -141,116 +127,6 @@ def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
         return Part(getattr(args, "begin", None), getattr(args, "end", None), ids)
     except ValueError as error:
         raise WrongUse(str(error)) from error
-
-
-def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
-    """Add --dbc and --revision. `revision`: the revision that counts where none is named; None: the frames tell."""
-    parser.add_argument(
-        "--dbc",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="decode with this database instead of the car's own; may be given several times, the first one counts",
-    )
-    default = revision or "known from the frames"
-    parser.add_argument("--revision", default=revision, help=f"interface revision: 2021 or 2026 (default: {default})")
-
-
-class Decoding:
-    """Decodes as the arguments ask for. Where they name neither a revision nor databases, the frames tell.
-
-    `revision` is the name of the revision in force: the given one, else the one told so far, else the latest.
-    """
-
-    def __init__(self, verb: str, args: argparse.Namespace) -> None:
-        """Read the arguments. Raises UserError."""
-        self._verb = verb
-        self._args = args
-        self._files: Sequence[Path] = args.dbc
-        self.told: bool = args.revision is not None  # nothing more to be learned from frames
-        try:
-            self.revision = revision_named(args.revision or list(REVISIONS)[-1]).name
-        except ValueError as error:
-            raise WrongUse(str(error)) from error
-        self._shown: tuple[str, ...] | None = None
-        # What is wrong with given files is reported before anything is read.
-        for name in self.databases.signed_flags if self._files else ():
-            print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
-        for text in self.databases.left_out:
-            print(f"fsai-vcu {verb}: {printable(text)}", file=sys.stderr)
-
-    @cached_property
-    def databases(self) -> Databases:
-        """Databases by what is known so far: others once frames have told more."""
-        databases = load_databases(self._files, self.revision)
-        return databases if self._shown is None else databases.with_signals(self._shown)
-
-    @cached_property
-    def decoder(self) -> Decoder:
-        """Decoder with the present databases."""
-        return Decoder(self.databases)
-
-    @cached_property
-    def writer(self) -> LineWriter:
-        """Writer that prints as --json and --numbers ask for, with the present decoder."""
-        args = self._args
-        short = getattr(args, "short", False)
-        rounded = self._verb == "dump" and not args.json  # decode's lines are cantools' to the last byte
-        return LineWriter(self.decoder, as_json=args.json, words=not args.numbers, short=short, rounded=rounded)
-
-    def possible(self) -> list[Databases]:
-        """The databases that may be meant: the given ones, or those of each revision while none is named."""
-        if self._files or self.told:
-            return [self.databases]
-        return [load_databases((), name) for name in REVISIONS]
-
-    def patterns(self, names: str | None) -> list[str]:
-        """The signals asked for. Raises UserError where a database knows none of them."""
-        patterns = list(filter(None, (names or "").split(",")))
-        layouts = [layout for databases in self.possible() for layout in databases.layouts.values()] if patterns else []
-        for pattern in patterns:
-            if not any(layout.signals_like([pattern]) for layout in layouts):
-                known = (signal.name for layout in layouts for signal in layout.signals)
-                meant = did_you_mean(pattern.rpartition(".")[2], known)
-                raise UserError(f"no signal {pattern}{meant or '; fsai-vcu dbc show lists them'}")
-        return patterns
-
-    def show_signals(self, names: str | None) -> None:
-        """Show only these signals from now on, by name or pattern, and the messages that have them. May raise
-        UserError.
-        """
-        if names is None:
-            return
-        self._shown = tuple(self.patterns(names))
-        self._forget()
-
-    def chosen(self, frames: Frames) -> Frames:
-        """Return the frames of those messages that have the signals asked for."""
-        if self._shown is None or not len(frames):
-            return frames
-        import numpy as np
-
-        return frames.only(np.isin(frames.can_id, np.fromiter(self.databases.layouts, np.int64) & 0x1FFF_FFFF))
-
-    def hear(self, frames: Frames) -> None:
-        """Learn from frames which revision is spoken, and say so where another one is assumed."""
-        found = None if self.told or not len(frames) else told_revision(frames)
-        if found is None:
-            return
-        self.told = True
-        revision, reason = found
-        if revision.name == self.revision:
-            return
-        self.revision = revision.name
-        if not self._files:
-            self._forget()
-            print(f"fsai-vcu {self._verb}: interface revision {revision.name} ({reason})", file=sys.stderr)
-
-    def _forget(self) -> None:
-        """Drop the databases, the decoder and the writer that were made by what was known before."""
-        for name in ("databases", "decoder", "writer"):
-            self.__dict__.pop(name, None)
 
 
 class LogRead(NamedTuple):
@@ -303,13 +179,13 @@ class Sources:
         self._each = each
         left_out: list[Path] = []
         try:
-            self._rules = [split_source(each) for name in names for each in _unfolded(name, left_out)]
+            self._rules = [split_source(each) for name in names for each in unfolded(name, left_out)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
         self.left_out = [printable(path.name) for path in left_out]  # of what is in folders
         self._several = len(self._rules) > 1
         self._name_them()
-        kinds = {_is_log(name) for name, _ in self._rules}
+        kinds = {is_log(name) for name, _ in self._rules}
         if len(kinds) > 1:
             raise WrongUse("logs and live interfaces cannot be read together")
         self.live = kinds == {False}
@@ -331,9 +207,9 @@ class Sources:
         runs: list[list[tuple[str, FrameFilter]]] = []
         clocks: list[int] = []  # the last first stamp of each run
         for rule in self._rules:
-            first_ns, _ = _first_stamp(Path(rule[0]))
+            first_ns, _ = first_stamp(Path(rule[0]))
             unread = first_ns == NOTHING_READ
-            if clocks and (unread or _goes_on(clocks[-1], first_ns)):
+            if clocks and (unread or goes_on(clocks[-1], first_ns)):
                 runs[-1].append(rule)
                 clocks[-1] = clocks[-1] if unread else first_ns
             else:
@@ -400,7 +276,7 @@ class Sources:
     def tell_the_end(self, *parts: Part) -> None:
         """Tell those parts that must know it when the logs end. They are read for it."""
         asking = [part for part in parts if part.needs_the_end] if self.files else []
-        ends_ns = [_last_stamp(name) for name, _ in self._rules] if asking else []
+        ends_ns = [last_stamp(name) for name, _ in self._rules] if asking else []
         for part in asking:
             part.ends_at(max(ends_ns))
 
@@ -524,110 +400,3 @@ def check_server(args: argparse.Namespace) -> None:
     if not 0 <= args.port < 65536:
         raise WrongUse(f"--port is {args.port}, but must be 0 to 65535")
     check_seconds(args)
-
-
-class Progress:
-    """Display of how far the work is, rewritten on a terminal every second."""
-
-    def __init__(self) -> None:
-        self._next_s = time.monotonic() + _PROGRESS_S if sys.stderr.isatty() else math.inf
-        self._shown = False
-
-    def reading(self, frames: int) -> None:
-        self.show(lambda: f"{frames} frames read")
-
-    def writing(self, done: int, of: int) -> None:
-        self.show(lambda: f"{100 * done // max(of, 1)} % written")
-
-    def end(self) -> None:
-        if self._shown:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-    def show(self, text: Callable[[], str]) -> None:
-        if time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + _PROGRESS_S
-            self._shown = True
-            print(f"\r\x1b[K{text()}", end="", file=sys.stderr, flush=True)
-
-
-def _first_stamp(path: Path) -> tuple[int, str]:
-    """Return when a log begins (ns), and its name. A log that cannot be read comes last; its opening reports that."""
-    try:
-        with open_log(str(path)) as log:
-            return next((frame.t_ns for frame in log.frames()), NOTHING_READ), path.name
-    except LogError:
-        return NOTHING_READ, path.name
-
-
-def _goes_on(before_ns: int, first_ns: int) -> bool:
-    """True where a log may go on by the clock of one that began at `before_ns`: both have dates, or one counter."""
-    dated = before_ns >= EPOCH_NS, first_ns >= EPOCH_NS
-    return all(dated) or (not any(dated) and first_ns - before_ns > S)
-
-
-def _last_stamp(name: str) -> int:
-    """Return when a log ends (ns); 0 where nothing of it can be read, which is reported when it is opened again."""
-    last_ns = 0
-    try:
-        with open_log(name) as log:
-            for frames in log.chunks():
-                last_ns = int(frames.t_ns[-1]) if len(frames) else last_ns
-    except LogError:
-        pass
-    return last_ns
-
-
-def _unfolded(name: str, left_out: list[Path]) -> list[str]:
-    """A folder as the logs in it, in the order of time; anything else as it is. left_out: gets its other files."""
-    folder, filters = name_and_filters(name)
-    if folder == "-" or not _holds(folder, Path.is_dir):
-        return [name]
-    files = sorted(path for path in Path(folder).iterdir() if path.is_file())
-    logs = [path for path in files if _log_like(path)]
-    left_out += [path for path in files if path not in logs and not _beside_logs(path)]
-    logs.sort(key=_first_stamp)
-    if not logs:
-        raise UserError(f"{folder}: no log in this folder")
-    return [f"{path},{filters}" if filters else str(path) for path in logs]
-
-
-def _beside_logs(path: Path) -> bool:
-    """True for a file that a recording or a drive leaves beside its log, and that nobody takes for a log."""
-    return path.name.startswith(".") or path.suffix.lower() in _BESIDE
-
-
-def _log_like(path: Path) -> bool:
-    """Tell by its name whether a file may be a log; tables and other texts are looked into."""
-    suffixes = {suffix.lower() for suffix in path.suffixes}
-    if suffixes & _MAY_BE_LOGS and not suffixes & LOG_SUFFIXES:
-        try:
-            with open_named(path) as file:
-                return format_of(file.read(HEAD_BYTES)) is not None
-        except OSError:
-            return False
-    return bool(suffixes & LOG_SUFFIXES)
-
-
-def _holds(name: str, condition: Callable[[Path], bool]) -> bool:
-    """Return whether the condition holds for a file of that name; raise UserError for a name too long for one."""
-    try:
-        return condition(Path(name))
-    except OSError as error:
-        raise UserError(f"{name}: {error.strerror}") from error
-
-
-def _is_log(name: str) -> bool:
-    """Tell a log from an interface, which is no file and does not look like one: can0, vcan0, loopback:NAME."""
-    path = Path(name)
-    if name == "-" or _holds(name, Path.exists):
-        return True
-    return ":" not in name and ("/" in name or path.suffix != "")
-
-
-def write_out(block: bytes | bytearray) -> None:
-    """Write the block to standard output, at once. What it cannot take is reported by `main`."""
-    sys.stdout.flush()
-    left = memoryview(block)
-    while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only
-        left = left[sys.stdout.buffer.write(left) :]
-    sys.stdout.buffer.flush()

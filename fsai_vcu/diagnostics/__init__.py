@@ -35,7 +35,7 @@ Printing
 Measuring
     measure(frames, decoder, revision=…)       # statistics/measure.py: a BusStatistics for each channel: periods,
                                                   # gaps, load, handshake
-    judge(bus)                                 # verdict/of_bus.py: what is not as it should be; verdict.judged has all
+    judge(bus)                                 # verdict/of_bus.py: what is not as it should be (all: judging.py)
     wire_bits(frames)                           # statistics/wire_bits.py: exact length on the wire, stuff bits included
     quantile(ordered, share)                 # statistics/quantiles.py: one meaning of p50 and p99 everywhere
 
@@ -43,7 +43,7 @@ Watching, sending
     view = View(); view.update(frames); view.picture(now_ns)      # monitor/: one moment of a bus, and its drawing
     outgoing(databases, "BenchLamp", ["COLOUR=RED"])         # transmit/sending.py: a frame by its signals, or a refusal
 
-On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
-with filters, problems and an exit status), `Decoding` (databases as the arguments ask for, or as the frames tell),
-`add_database_arguments`, `write_out`.
+On the command line the verbs share `Sources` (cli/sources.py: logs or interfaces as one stream of columns, with
+filters, problems and an exit status) and `Decoding` (cli/decoding.py: databases as the arguments ask for, or as the
+frames tell).
 """

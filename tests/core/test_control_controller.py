@@ -15,7 +15,7 @@ from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.car_signals import Actuation
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
-from fsai_vcu.core.control.path_tracking import STEP_M, Line, line_of
+from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.speed_profile import speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
@@ -390,7 +390,7 @@ def test_acceleration_is_as_fast_as_the_motor_and_stops() -> None:
     assert drive.along_m[-1] < 175.0
 
 
-def line_through(path: np.ndarray) -> Line:
+def line_through(path: np.ndarray) -> PathLine:
     line = line_of(path)
     assert line is not None
     return line

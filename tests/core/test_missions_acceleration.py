@@ -7,7 +7,7 @@ import pytest
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.acceleration import closed_at, finish_seen, follow_lane, staged
-from fsai_vcu.core.missions.registration import from_car, on_course
+from fsai_vcu.core.missions.course_fit import from_car, on_course
 
 ROWS = np.array([(2.5 + 5.0 * i, side * 1.5) for i in range(20) for side in (1.0, -1.0)])
 

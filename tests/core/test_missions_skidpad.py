@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeObservation, Motion, Run
-from fsai_vcu.core.missions.registration import from_car, on_course
+from fsai_vcu.core.missions.course_fit import from_car, on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.skidpad import (
     SkidpadState,

@@ -20,7 +20,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain import Explanation, Record, explained
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.page.document import of_log
-from fsai_vcu.diagnostics.verdict import judged
+from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 

@@ -17,7 +17,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.conditions import all_met
 from fsai_vcu.diagnostics.explain.incident import ALWAYS, Claim, Incident, IncidentKind, Sureness, shown
 from fsai_vcu.diagnostics.explain.proof import denied, proved
-from fsai_vcu.diagnostics.verdict import judged
+from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.enums import AsState
 
 SHORT = [edit for edit in EDITS if edit.run == "acceleration"][::4]

@@ -13,8 +13,8 @@ from story_runs import branch, driving
 
 from fsai_vcu.diagnostics.explain import explained
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, joined, set_right
-from fsai_vcu.diagnostics.verdict import Verdict
-from fsai_vcu.diagnostics.verdict import judged as judged_frames
+from fsai_vcu.diagnostics.verdict.judging import judged as judged_frames
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
 

@@ -20,7 +20,7 @@ from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.page.curves import plots
 from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.diagnostics.page.server import Server
-from fsai_vcu.diagnostics.verdict import judged
+from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.lights import LIGHTS
 from fsai_vcu.interface.units import MS

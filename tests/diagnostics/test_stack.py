@@ -12,7 +12,7 @@ from msgspec.structs import asdict
 from fsai_vcu.cli.check_stack import _as_dict, _as_text
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked
-from fsai_vcu.diagnostics.stack import Ends, StackWatch
+from fsai_vcu.diagnostics.stack.watch import Ends, StackWatch
 
 ROS_S = 1_000.0
 

@@ -18,8 +18,8 @@ from fsai_vcu.diagnostics.explain.signals import AS_STATE
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
-from fsai_vcu.diagnostics.verdict import Verdict
-from fsai_vcu.diagnostics.verdict import judged as judged_frames
+from fsai_vcu.diagnostics.verdict.judging import judged as judged_frames
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import PERIOD_NS

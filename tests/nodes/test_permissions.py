@@ -19,7 +19,7 @@ from fsai_nodes.vehicle_controller import VehicleController
 from fsai_nodes.visualization import Visualization
 from fsai_vcu.cli.check_stack import by_clock, listen
 from fsai_vcu.cli.services import operator_node
-from fsai_vcu.diagnostics.stack import StackWatch
+from fsai_vcu.diagnostics.stack.watch import StackWatch
 
 POLICY = Path(__file__).parents[2] / "systemd" / "security" / "policy.xml"
 ASKED = ("publish", "subscribe", "reply", "request")

@@ -12,7 +12,8 @@ from c_node import CNode
 from fsai_hil.rehearsal.inspection.judge import items_named
 from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.verdict import Verdict, judged
+from fsai_vcu.diagnostics.verdict.judging import judged
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS, S
 

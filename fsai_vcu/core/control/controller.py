@@ -15,7 +15,7 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.control.path_tracking import Line, line_of, steering_rate
+from fsai_vcu.core.control.path_tracking import PathLine, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
@@ -69,7 +69,7 @@ class Controller:
         self._history.clear()
         self._last_plan: Plan | None = None  # for the logging fields
         self._planned: Plan | None = None  # what line and profile were made of
-        self._line: Line | None = None
+        self._line: PathLine | None = None
         self._profile: Floats | None = None
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
@@ -260,7 +260,7 @@ class Controller:
         throttle, brake = self._accelerate(line, station - travel, speed, most, now_ns)
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
-    def _profile_of(self, plan: Plan, line: Line, speed: float, seen_from_m: float, driven_m: float) -> Floats:
+    def _profile_of(self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float) -> Floats:
         """Square of the speed along the line. The plan is of the place `seen_from_m`, the car `driven_m` further."""
         settings = self._settings
         here = line.beside(0.0, 0.0)[0]
@@ -329,7 +329,7 @@ class Controller:
             self._taken_up_rad = math.copysign(settings.backlash_share * car.steer_backlash_rad, turned)
         self._steering_rad = self._within(road + self._taken_up_rad)
 
-    def _accelerate(self, line: Line, here_m: float, speed: float, most: float, now_ns: int) -> tuple[float, float]:
+    def _accelerate(self, line: PathLine, here_m: float, speed: float, most: float, now_ns: int) -> tuple[float, float]:
         """Return throttle and brake that meet the profile a moment ahead: of bounded jerk, `most` (m/s2) at most."""
         settings = self._settings
         assert self._profile is not None

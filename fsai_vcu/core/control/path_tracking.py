@@ -24,7 +24,7 @@ HORIZON_STEPS, HORIZON_STEP_S = 20, 0.05
 DEVIATION_M, DRIFT_MPS, JERK_MPS3 = 0.2, 0.6, 14.0
 
 
-class Line(Value, frozen=True):
+class PathLine(Value, frozen=True):
     """A path with what tracking needs of it, every `STEP_M`. Its frame is that of the path it was made of."""
 
     path_m: Floats  # (N, 2)
@@ -45,7 +45,7 @@ class Line(Value, frozen=True):
         return float(self.along_m[at] - dx * cos - dy * sin), float(dy * cos - dx * sin)
 
 
-def line_of(path_m: Floats) -> Line | None:
+def line_of(path_m: Floats) -> PathLine | None:
     """The line of an (M, 2) path; None where it is none."""
     if len(path_m) < 2 or not np.isfinite(path_m).all():
         return None
@@ -59,11 +59,11 @@ def line_of(path_m: Floats) -> Line | None:
     inner = (heading[3:-1] - heading[1:-3]) / (2.0 * STEP_M)
     curvature = np.concatenate((inner[:1], inner[:1], inner, inner[-1:], inner[-1:]))
     heading[0], heading[-1] = heading[1] - STEP_M * inner[0], heading[-2] + STEP_M * inner[-1]
-    return Line(path, np.arange(len(path), dtype=np.float64) * STEP_M, heading, curvature)
+    return PathLine(path, np.arange(len(path), dtype=np.float64) * STEP_M, heading, curvature)
 
 
 def steering_rate(
-    line: Line, station_m: float, right_m: float, course_rad: float, curvature_1pm: float, speed_mps: float
+    line: PathLine, station_m: float, right_m: float, course_rad: float, curvature_1pm: float, speed_mps: float
 ) -> float:
     """Return the rate, 1/(m s), at which the curvature that the car drives with must change.
 

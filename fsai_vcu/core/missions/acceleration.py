@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, from_car, misfit, on_course
+from fsai_vcu.core.missions.course_fit import GATE_M, TRACKED, carried, fitted, from_car, misfit, on_course
 from fsai_vcu.interface.values import Value
 
 SEARCH = np.array([[0.0, y, yaw] for y in np.arange(-2.0, 2.1, 0.5) for yaw in np.radians(np.arange(-18.0, 19.0, 3.0))])

@@ -34,7 +34,7 @@ LAP_END_M = 30.0  # beyond the line, which may be in sight from before it
 SIGHTED_M = 10.0  # of way in which a gate passed was seen right before
 
 
-class Line(Value, frozen=True):
+class GateLine(Value, frozen=True):
     """A line across the lane in the odometry frame: its middle and the direction in which it is passed."""
 
     x_m: float
@@ -58,7 +58,7 @@ class Line(Value, frozen=True):
 class LapState(Value, frozen=True):
     """`passages` of the line: the first begins lap 1."""
 
-    line: Line
+    line: GateLine
     passages: int = 0
     armed: bool = False
     passed_at_m: float | None = None  # distance driven at the last passage …
@@ -74,7 +74,7 @@ class LapState(Value, frozen=True):
 def staged(motion: Motion, line_ahead_m: float) -> LapState:
     """The state of a car that stands before the line."""
     return LapState(
-        Line(
+        GateLine(
             motion.x_m + line_ahead_m * math.cos(motion.yaw_rad),
             motion.y_m + line_ahead_m * math.sin(motion.yaw_rad),
             motion.yaw_rad,
@@ -104,7 +104,7 @@ def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: M
             return state
         if math.hypot(x_m - line.x_m, y_m - line.y_m) > line.shifted_m(motion):
             return state
-    gate = Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m)
+    gate = GateLine(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m)
     # The first line of all was a guess where no gate was in sight; another one may have been off by odometry's drift.
     wrong = since_m < line.shifted_m(motion) if line.seen else state.passages == 1
     if wrong and not state.sighted and gate.position_of(motion)[0] < -BEFORE_M:
@@ -133,7 +133,7 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     sighted = line.seen and blind_m < SIGHTED_M
     if blind_m > 0.5 * lap_min_m:
         here = motion.x_m, motion.y_m, motion.yaw_rad
-        line = Line(*here, seen=line.seen, at_distance_m=motion.distance_m, blind_m=line.blind_m + blind_m)
+        line = GateLine(*here, seen=line.seen, at_distance_m=motion.distance_m, blind_m=line.blind_m + blind_m)
     return LapState(line, state.passages + 1, False, motion.distance_m, state.passed_at_m, sighted)
 
 

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.registration import GATE_M, TRACKED, carried, fitted, misfit, on_course
+from fsai_vcu.core.missions.course_fit import GATE_M, TRACKED, carried, fitted, misfit, on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.interface.values import Value
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
 from fsai_vcu.core.missions.acceleration import closed_at, finish_seen, follow_lane, staged
-from fsai_vcu.core.missions.registration import on_course
+from fsai_vcu.core.missions.course_fit import on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import DOUBTFUL, Course, Fit, Sight, braking_m

@@ -8,7 +8,7 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.registration import from_car
+from fsai_vcu.core.missions.course_fit import from_car
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.skidpad import (
     advance_skidpad,

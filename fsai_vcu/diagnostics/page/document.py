@@ -19,7 +19,8 @@ from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.page.board import states_of
 from fsai_vcu.diagnostics.page.curves import Plot, figures, lanes, packed, packed_way, plots, plots_of, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics
-from fsai_vcu.diagnostics.verdict import Judged, Verdict
+from fsai_vcu.diagnostics.verdict.judging import Judged
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.lights import BAND_ALPHA, LIGHTS
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all

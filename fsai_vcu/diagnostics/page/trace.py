@@ -20,7 +20,7 @@ POINTS: Final = 1000  # 500 m: a lap; older ones go
 _IDS: Final = (sig.STATUS, sig.ANGLE.can_id, sig.WHEELS[0].can_id)
 
 
-class Line:
+class DrawnLine:
     """Trace of the car, thinned out."""
 
     def __init__(self, *points: tuple[float, float]) -> None:
@@ -51,7 +51,7 @@ class Trace:
 
     def _begin(self, last: Frames) -> None:
         self.run += 1
-        self.line = Line((0.0, 0.0))
+        self.line = DrawnLine((0.0, 0.0))
         self.pose = (0.0, 0.0, 0.0)
         self._last = last  # the newest of each message
 

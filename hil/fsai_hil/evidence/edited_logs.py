@@ -47,7 +47,8 @@ from fsai_hil.evidence.edits import (
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Incident
 from fsai_vcu.diagnostics.log.frames import Frames
-from fsai_vcu.diagnostics.verdict import Verdict, judged
+from fsai_vcu.diagnostics.verdict.judging import judged
+from fsai_vcu.diagnostics.verdict.verdict import Verdict
 from fsai_vcu.interface.enums import AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.values import Value

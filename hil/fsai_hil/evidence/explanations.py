@@ -25,7 +25,7 @@ from fsai_hil.evidence.work import digest, followed, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.verdict import judged
+from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS
 from fsai_vcu.interface.values import Value
