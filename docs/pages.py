@@ -318,12 +318,16 @@ def parameters() -> str:
     return _table(("node", "parameter", "default", "may be", "meaning", ""), rows)
 
 
+_PARTS = {"vcu_bridge": ("bridge_outputs", "mission_server")}  # files beside a node's own that make its topics
+
+
 def _interface() -> Iterator[tuple[str, str, str, str, str]]:
     """What a node makes: its name; publisher, subscription, service or action; the name and the type that others
     see; what is said of the function that is called.
     """
-    for node in CLASSES:
-        source = ROOT / "nodes" / "fsai_nodes" / "fsai_nodes" / f"{node}.py"
+    files = [(node, file) for node in CLASSES for file in (node, *_PARTS.get(node, ()))]
+    for node, file in files:
+        source = ROOT / "nodes" / "fsai_nodes" / "fsai_nodes" / f"{file}.py"
         tree = list(ast.walk(ast.parse(source.read_text(encoding="utf-8"))))
         imports = [
             (one.module or "", alias.name) for one in tree if isinstance(one, ast.ImportFrom) for alias in one.names

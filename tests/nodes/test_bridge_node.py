@@ -292,6 +292,7 @@ def test_cancelling_ends_the_drive_in_order() -> None:
 
         def finished() -> bool:
             car.command()
+            assert not vcu.last_status().estop_request, "an emergency brake was asked for"
             return vcu.last_status().mission_status is MissionStatus.FINISHED
 
         rig.spin_until(finished, "FINISHED at rest")

@@ -218,7 +218,7 @@ class Stack:
                     pose.pose.position.x = float(index)
                 message.header.frame_id = "base_link"
             case "VehicleCommand":
-                message = VehicleCommand(run_id=self.bridge._last_run.run_id if self.bridge._last_run else 0)
+                message = VehicleCommand(run_id=self.bridge._outputs.run.run_id if self.bridge._outputs.run else 0)
             case "ResetConfirmation":
                 message = ResetConfirmation(role="planner", run_id=RUN)
             case _:
@@ -348,7 +348,7 @@ def test_no_generated_goal_ends_the_bridge(rig: RosRig, bus: str) -> None:
     bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
     for attack in attacks(RunMission.Goal):
         if attack.raw is None:
-            response = bridge._missions._goal_callback(attack.message)
+            response = bridge._missions.action._goal_callback(attack.message)
             refused = attack.not_finite or attack.huge or attack.what in ("the largest", "control characters")
             assert response == (GoalResponse.REJECT if refused else GoalResponse.ACCEPT), attack
     assert complaints_of(bridge).count("/run_mission") > 5
@@ -460,8 +460,8 @@ def test_a_goal_whose_callback_raises_is_rejected(rig: RosRig, bus: str, monkeyp
         raise RuntimeError("of the test")
 
     monkeypatch.setattr(bridge, "_ask", asks)
-    assert bridge._missions._cancel_callback(None) == CancelResponse.REJECT
-    assert bridge._missions._goal_callback(RunMission.Goal()) == GoalResponse.ACCEPT
-    bridge._goals.update({bytes([number]): None for number in range(MOST_GOALS)})
-    assert bridge._missions._goal_callback(RunMission.Goal()) == GoalResponse.REJECT
-    bridge._goals.clear()
+    assert bridge._missions.action._cancel_callback(None) == CancelResponse.REJECT
+    assert bridge._missions.action._goal_callback(RunMission.Goal()) == GoalResponse.ACCEPT
+    bridge._missions.goals.update({bytes([number]): None for number in range(MOST_GOALS)})
+    assert bridge._missions.action._goal_callback(RunMission.Goal()) == GoalResponse.REJECT
+    bridge._missions.goals.clear()

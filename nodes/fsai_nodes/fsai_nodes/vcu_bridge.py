@@ -12,49 +12,31 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial, wraps
 from typing import Any
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
-from fsai_msgs.action import RunMission
-from fsai_msgs.msg import ResetConfirmation, RunState, VehicleCommand, VehicleState
+from fsai_msgs.msg import ResetConfirmation, VehicleCommand
 from fsai_msgs.srv import SetMode
-from nav_msgs.msg import Odometry
-from rclpy.action import CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
-from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
+from fsai_nodes.bridge_outputs import BridgeOutputs
 from fsai_nodes.clocks import Clocks, Input
 from fsai_nodes.command_owner import CommandOwner
 from fsai_nodes.conversions import (
-    BASE_FRAME,
-    ODOM_FRAME,
-    UNKNOWN,
     command_from_msg,
-    fix_to_msg,
-    imu_to_msg,
-    odometry_to_msg,
-    run_to_msg,
-    state_to_msg,
 )
-from fsai_nodes.diagnosis import diagnostics_of
 from fsai_nodes.door import Door, Message
-from fsai_nodes.mission_goal import GoalResult, Waiting
+from fsai_nodes.mission_goal import GoalResult
+from fsai_nodes.mission_server import MissionServer
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import publisher
 from fsai_nodes.report_log import Culprit, News, with_refused
-from fsai_vcu.core.driving import Run
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.values import shortened
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.configuration import SAME_AS_REVISION
@@ -65,7 +47,6 @@ from fsai_vcu.runtime.toml_lines import parse_toml, tomllib, words_of
 
 _CONFIG = BridgeConfig()
 _DIAGNOSTICS_PERIOD_S = 1.0
-_FEEDBACK_PERIOD_NS = 200_000_000
 _INACTIVE = "vcu_bridge is not active: nothing is sent to the car"
 
 # The times of the graded reactions; the safety rules' defaults.
@@ -155,24 +136,13 @@ class VcuBridge(LifecycleNode):
         self._loop: LoopHandle | None = None  # the same while the node is active
         self._loop_silent = False  # it should report and does not
         self._news, self._culprit = News(), Culprit()
-        self._last_run: Run | None = None  # as published
-        self._last_said: tuple[Run, str] | None = None
-        self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
         self._commands = Input(self, "vehicle_cmd", clocks=self._clocks)
         self._owner = CommandOwner(_CONFIG.command_lost_ns)
         self._refused_commands, self._refused_command = 0, ""  # at the door: how many, and the last one in words
         self._note = ""  # why the controller does not drive, as its last command says
         self._timers: list[Timer] = []
-        self._goals: dict[bytes, _Following] = {}  # by goal id
-        self._transforms = _TransformSender(self)
-
-        self._vehicle_state = publisher(self, VehicleState, "vehicle_state")
-        self._run_state = publisher(self, RunState, "run_state")
-        self._odometry = publisher(self, Odometry, "odometry")
-        self._imu = publisher(self, Imu, "imu")
-        self._fix = publisher(self, NavSatFix, "gps/fix")
-        self._diagnostics = publisher(self, DiagnosticArray, "diagnostics")
+        self._outputs = BridgeOutputs(self, self._settings, self._clocks)
         door = self._door = Door(self)
         door.subscription(
             VehicleCommand, "vehicle_cmd", self._on_command, refused=self._on_refused_command, with_sender=True
@@ -181,16 +151,7 @@ class VcuBridge(LifecycleNode):
         door.service(SetMode, "set_mode", self._on_set_mode)
         door.service(Trigger, "emergency_brake", self._on_emergency_brake)
         door.service(Trigger, "reset", self._on_reset)
-        # A goal is followed by the publishing timer; its result is handed over when that timer has an outcome.
-        self._missions = door.action(
-            RunMission,
-            "run_mission",
-            goal=self._on_goal,
-            accepted=self._follow,
-            cancel=self._on_cancel,
-            execute=self._result_of,
-            under_way=lambda: len(self._goals),
-        )
+        self._missions = MissionServer(door, self._clocks, refuses=self._refuses_goals, stop=self._stop_for_a_goal)
         self._clocks.watch()
         if self._settings.flag("autostart"):
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -234,7 +195,7 @@ class VcuBridge(LifecycleNode):
         self._commands = Input(self, "vehicle_cmd", silent_ns=silent_ns, clocks=self._clocks)
         self._owner = CommandOwner(configured.config.command_lost_ns)
         self._news, self._culprit = News(), Culprit()
-        self._last_run = self._last_said = None
+        self._outputs.begin()
         self._timers = [
             self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
             self._clocks.every(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
@@ -268,7 +229,6 @@ class VcuBridge(LifecycleNode):
 
     def destroy_node(self) -> None:
         self._end_process()
-        # rclpy destroys what a node made, but not an action server: it would stay in the ROS graph.
         self._missions.destroy()
         super().destroy_node()
 
@@ -294,7 +254,7 @@ class VcuBridge(LifecycleNode):
         report = self._report(loop)
         now_ns = self._clocks.now_ns()
         self._publish_state(report, now_ns)
-        self._step_goals(report, now_ns, GoalResult(False, "bridge_stopped", "vcu_bridge was stopped"))
+        self._missions.step(report, now_ns, GoalResult(False, "bridge_stopped", "vcu_bridge was stopped"))
 
     def _end_process(self) -> None:
         process, self._process = self._process, None
@@ -363,7 +323,7 @@ class VcuBridge(LifecycleNode):
 
     def _is_the_runs(self, message: VehicleCommand, came: Message, now_ns: int) -> bool:
         """Return true where the command is of the one publisher whose commands the run takes."""
-        run = self._last_run
+        run = self._outputs.run
         if run is None or message.run_id != run.run_id:
             return True  # it counts as none, and the loop says so
         if came.gid is None:
@@ -390,7 +350,7 @@ class VcuBridge(LifecycleNode):
         if self._loop is None:
             return
         if message.role == ResetConfirmation.CONTROLLER and came.gid is not None:
-            run = self._last_run
+            run = self._outputs.run
             if run is not None and message.run_id == run.run_id:
                 self._owner.confirmed(message.run_id, came.gid)
         if words := self._loop.confirm_reset(message.role, message.run_id):
@@ -457,45 +417,16 @@ class VcuBridge(LifecycleNode):
             else:
                 logger.warning("the CAN loop reports again")
         self._publish_state(report, now_ns)
-        self._publish_motion(report)
+        self._outputs.motion(report)
         newest = loop.loop_report().bridge
         # A car that is silent has stopped itself, and so has one whose loop has said nothing for long; a loop that was
         # held up says nothing of it.
         gone = newest.vcu_lost or (self._loop_silent and now_ns - newest.t_ns >= _CONFIG.stop_timeout_ns)
-        self._step_goals(report, now_ns, gone=gone)
+        self._missions.step(report, now_ns, gone=gone)
 
     def _publish_state(self, report: BridgeReport, now_ns: int) -> None:
-        # The run goes out before the first state that belongs to it, so that nobody drives a new run with old memory.
-        run = (report.run, report.mode)
-        if run != self._last_said:
-            self._last_said, self._last_run = run, report.run
-            self._run_state.publish(run_to_msg(report.run, report.mode, self._clocks.stamp_of(report.t_ns)))
-        command_age_s = math.nan if self._sensor_ns is None else (now_ns - self._sensor_ns) / 1e9
-        stamp = self._clocks.stamp_of(report.motion.t_ns)
-        self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
-
-    def _publish_motion(self, report: BridgeReport) -> None:
-        """Publish the motion and the sensors' values, where somebody reads them."""
-        if report.motion.t_ns != self._last_motion_ns:  # of a car that is not received there is no motion
-            self._last_motion_ns = report.motion.t_ns
-            stamp = self._clocks.stamp_of(report.motion.t_ns)
-            # Making a message costs more than asking whether anybody wants it.
-            if self._odometry.get_subscription_count():
-                self._odometry.publish(odometry_to_msg(report.motion, stamp))
-            if self._settings.flag("publish_tf"):
-                self._transforms.send(report, stamp)
-        if self._imu.get_subscription_count():
-            measured = report.gps.acceleration or report.gps.dynamics
-            if measured is not None and measured.t_rx_ns != self._last_imu_ns:
-                self._last_imu_ns = measured.t_rx_ns
-                self._imu.publish(imu_to_msg(report.gps, self._settings.text("imu_frame_id"), self._clocks.stamp_of))
-        if self._fix.get_subscription_count():
-            latitude = report.gps.latitude
-            if latitude is not None and latitude.t_rx_ns != self._last_fix_ns:
-                fix = fix_to_msg(report.gps, self._settings.text("gps_frame_id"), self._clocks.stamp_of)
-                if fix is not None:
-                    self._last_fix_ns = latitude.t_rx_ns
-                    self._fix.publish(fix)
+        age_s = math.nan if self._sensor_ns is None else (now_ns - self._sensor_ns) / 1e9
+        self._outputs.state(report, age_s)
 
     def _publish_diagnostics(self) -> None:
         loop = self._loop
@@ -507,138 +438,18 @@ class VcuBridge(LifecycleNode):
         for index, sentence in enumerate(newest.scheduling_refused, 1):
             more[f"not real-time {index}"] = sentence
         more |= loop.link_trouble()
-        stamp = self._clocks.stamp_of(self._clocks.now_ns())
         report = with_refused(self._report(loop), self._refused_commands, self._refused_command)
-        self._diagnostics.publish(diagnostics_of(report, stamp, more))
+        self._outputs.diagnostics(report, more)
 
-    # ------------------------------------------------------------ /run_mission
-
-    def _on_goal(self, _request: RunMission.Goal) -> GoalResponse:
-        """Follows a run: wait until ready, driving, finished, emergency, off or end; cancelling it is `manual` for the
-        car, and its result comes when the car no longer drives.
-        """
+    def _refuses_goals(self) -> bool:
+        """Return true, and say so, where no run can be followed."""
         if self._loop is None:
             self.get_logger().error(f"run_mission refused: {_INACTIVE}")
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
+        return self._loop is None
 
-    def _follow(self, handle: ServerGoalHandle) -> None:
-        goal = handle.request
-        waiting = Waiting(goal.mission, goal.until, goal.timeout_s, self._clocks.now_ns())
-        self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
-
-    def _on_cancel(self, _handle: ServerGoalHandle) -> CancelResponse:
-        """Set the mode to manual: a client that cancels wants the car to stop, or not to start. Rejected where that is
-        not done.
-        """
-        done, _ = self._ask("run_mission cancelled", lambda loop: loop.set_mode("manual"))
-        return CancelResponse.ACCEPT if done else CancelResponse.REJECT
-
-    def _step_goals(
-        self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None, *, gone: bool = False
-    ) -> None:
-        """Advance all goals. gone: a drive that was cancelled is over, whatever the car said last."""
-        for following in list(self._goals.values()):
-            handle = following.handle
-            if following.outcome is not None:
-                continue  # its result is being handed over
-            cancelled = handle.is_cancel_requested
-            as_state = None if cancelled and gone else report.run.as_state
-            outcome = ending or following.waiting.step(as_state, _mission_shown(report), now_ns, cancelled=cancelled)
-            if outcome is not None:
-                following.outcome, following.report, following.ended_ns = outcome, report, now_ns
-                handle.execute()
-            elif now_ns >= following.feedback_due_ns:
-                following.feedback_due_ns = now_ns + _FEEDBACK_PERIOD_NS
-                handle.publish_feedback(_feedback(report))
-
-    def _result_of(self, handle: ServerGoalHandle) -> RunMission.Result:
-        """End a goal, and return its result."""
-        following = self._goals.pop(bytes(handle.goal_id.uuid))
-        outcome, report = following.outcome, following.report
-        assert outcome is not None and report is not None, "executed only when there is an outcome"
-        if outcome.success:
-            handle.succeed()
-        elif outcome.ended == "cancelled":
-            handle.canceled()
-        else:
-            handle.abort()
-        status = report.vehicle.status
-        cause = None if status is None else status.shutdown_cause
-        return RunMission.Result(
-            success=outcome.success,
-            ended=outcome.ended,
-            message=outcome.message,
-            as_state=_label(report),
-            shutdown_cause="" if cause is None else cause.label,
-            laps=report.command.lap_counter,
-            distance_m=float(report.motion.distance_m),
-            duration_s=following.waiting.duration_s(following.ended_ns),
-        )
-
-
-@dataclass(slots=True, eq=False)
-class _Following:
-    """A goal on its way."""
-
-    handle: ServerGoalHandle
-    waiting: Waiting
-    feedback_due_ns: int = 0
-    outcome: GoalResult | None = None
-    report: BridgeReport | None = None
-    ended_ns: int = 0
-
-
-def _mission_shown(report: BridgeReport) -> Ami:
-    """The mission on the car's display; what the run has latched while nothing is received."""
-    status = report.vehicle.status
-    return report.run.mission if status is None else status.ami
-
-
-def _label(report: BridgeReport) -> str:
-    return "UNKNOWN" if report.run.as_state is None else report.run.as_state.label
-
-
-def _feedback(report: BridgeReport) -> RunMission.Feedback:
-    as_state = report.run.as_state
-    return RunMission.Feedback(
-        as_state=UNKNOWN if as_state is None else int(as_state),
-        as_state_label=_label(report),
-        mission=_mission_shown(report).label,
-        mode=report.mode,
-        lap=report.command.lap_counter,
-        speed_mps=float(report.motion.speed_mps),
-        distance_m=float(report.motion.distance_m),
-        why_not_driving=list(report.why_not_driving),
-    )
-
-
-class _TransformSender:
-    """odom -> base_link on /tf, where tf2_msgs is installed; a bridge without it works."""
-
-    def __init__(self, node: LifecycleNode) -> None:
-        try:
-            from tf2_msgs.msg import TFMessage
-        except ImportError:
-            self._publisher = None
-            node.get_logger().info("tf2_msgs is not installed: no transform odom -> base_link; /odometry has the pose")
-        else:
-            self._publisher, self._message = publisher(node, TFMessage, "/tf"), TFMessage
-
-    def send(self, report: BridgeReport, stamp: Time) -> None:
-        if self._publisher is None or not self._publisher.get_subscription_count():
-            return
-        from geometry_msgs.msg import TransformStamped
-
-        motion = report.motion
-        message = TransformStamped()
-        message.header.stamp = stamp
-        message.header.frame_id = ODOM_FRAME
-        message.child_frame_id = BASE_FRAME
-        message.transform.translation.x, message.transform.translation.y = float(motion.x_m), float(motion.y_m)
-        message.transform.rotation.z = math.sin(motion.yaw_rad / 2)
-        message.transform.rotation.w = math.cos(motion.yaw_rad / 2)
-        self._publisher.publish(self._message(transforms=[message]))
+    def _stop_for_a_goal(self) -> bool:
+        """Set the mode to manual, as a client that cancels its goal wants it."""
+        return self._ask("run_mission cancelled", lambda loop: loop.set_mode("manual"))[0]
 
 
 def limits_of(text: str) -> OperationalLimits | None:
