@@ -23,6 +23,7 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.pose import resampled
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.supervision.gate import constant_power_nm
+from fsai_vcu.core.vehicle.forces import brake_for
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import MS
@@ -430,7 +431,10 @@ def test_the_profile_leaves_the_steering_time_to_turn() -> None:
 def test_the_profile_stands_at_the_stop_and_is_slow_at_the_end() -> None:
     along = STEP_M * np.arange(80)
     stopping = profile(np.zeros(80), stop_m=30.0)
-    assert stopping == pytest.approx(np.minimum(20.0, np.sqrt(2.0 * 3.0 * np.maximum(30.0 - along, 0.0))))
+    braking = -np.diff(stopping**2) / (2.0 * STEP_M)
+    gently = (along[1:] > 28.5 + 1e-9) & (along[1:] <= 30.0 + 1e-9)
+    assert braking[gently] == pytest.approx(1.5), "no jolt at the end"
+    assert braking[along[1:] < 28.0] == pytest.approx(3.0, abs=1e-6) and (stopping[along >= 30.0] == 0.0).all()
     assert profile(np.zeros(80), end_mps=4.0)[-1] == pytest.approx(math.sqrt(16.0 + 8.0 * STEP_M))
 
 
@@ -537,12 +541,21 @@ def test_laps_and_cones_are_passed_on_and_kept_without_plans() -> None:
 def test_a_mission_finished_at_the_stopping_place_stays_finished() -> None:
     controller = reset_for(RUN)
     assert not ask(plan_of(STRAIGHT, finished=True, stop_distance_m=10.0), 5.0, controller).mission_finished
-    command = ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.2), 2.0, controller)
-    assert command.mission_finished
-    assert (command.throttle, command.brake > 0.0) == (0.0, True)
+    moving = ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.2), 2.0, controller)
+    assert not moving.mission_finished, "the full brake of a finished mission would jolt a car that moves"
+    assert moving.throttle == 0.0 and 0.0 < moving.brake < brake_for(CAR, 2.0, 2.0)
+    assert ask(plan_of(STRAIGHT, finished=False), 0.0, controller).mission_finished, "it stands where it was to stop"
     command = ask(plan_of(STRAIGHT, finished=False), 2.0, controller)
     assert command.mission_finished
-    assert command.throttle == 0.0
+    assert (command.throttle, command.brake) == (0.0, SETTINGS.final_brake)
+
+
+def test_a_car_that_does_not_come_to_rest_gently_is_stopped() -> None:
+    controller, over = reset_for(RUN), plan_of(STRAIGHT, finished=True, stop_distance_m=0.0)
+    for tick in range(31):
+        assert not ask(over, 1.0, controller, now_ns=tick * 100 * MS).mission_finished
+    assert ask(over, 1.0, controller, now_ns=3001 * MS).mission_finished
+    assert ask(over, 3.0).mission_finished, "one that is fast there is stopped at once"
 
 
 def test_distance_since_the_plan_counts_to_the_stopping_place() -> None:
@@ -559,13 +572,14 @@ def test_after_the_finish_there_is_no_throttle() -> None:
 
 
 def test_nearly_at_rest_after_the_finish_is_finished_anywhere() -> None:
-    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 0.2).mission_finished
-    assert not ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 1.0).mission_finished
+    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 0.0).mission_finished
+    for speed_mps in (0.2, 1.0):
+        assert not ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), speed_mps).mission_finished
 
 
 def test_another_run_clears_the_finished_state() -> None:
     controller = reset_for(RUN)
-    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.0), 1.0, controller).mission_finished
+    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.0), 0.0, controller).mission_finished
     again = replace(RUN, run_id=4)
     assert not ask(plan_of(STRAIGHT, run_id=4), 1.0, controller, run=again).mission_finished
 

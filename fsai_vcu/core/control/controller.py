@@ -1,7 +1,9 @@
 """The controller: plan, motion and run in, one vehicle command out.
 
-`mission_finished` means "stop now, until the run ends": it is set once the plan says the last line is crossed and the
-stopping place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set as well:
+`mission_finished` means "stop now, until the run ends": it is set once the plan says the last line is crossed, the
+stopping place is reached (or the car is about at rest) and the car stands, so that the full brake holds a car and does
+not jolt it; a car that is fast there, or does not come to rest in time, is stopped at once. It stays set for the run.
+`estop_request` stays set as well:
 the mission ends so, or the car has stood for too long where it should drive. FINISHED would claim a mission that was
 not fulfilled. `note` says in words why it does not drive. Throttle and brake are never asked for together.
 """
@@ -32,6 +34,8 @@ WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.
 SPEED_LIMIT_MARGIN_MPS = 1.0  # the motors' own limit, over the speed aimed at: it guards, it does not control
 HELD_BELOW_MPS = 0.1  # so that a speed held does not exceed the one that is set
 NEARLY_AT_REST_MPS = 0.3
+# At the stopping place a car that is slower than this brakes to rest gently, for so long at most.
+GENTLE_END_MPS, GENTLE_END_MPS2, GENTLE_END_S = 2.5, 1.5, 3.0
 ASIDE_MAX_M = 4.0  # a path further beside the car …
 AHEAD_MAX_M = 6.0  # … or that begins further ahead of it is not one from where it is
 # A car that turns so much and moves so far off its path's direction gains no speed beyond this: on its way out of a
@@ -79,6 +83,7 @@ class Controller:
         self._acceleration_mps2 = 0.0  # asked for last …
         self._accelerated_ns: int | None = None  # … and when
         self._braking = False
+        self._ending_since_ns: int | None = None  # at the stopping place, braking to rest
         self._finished = False
         self._estop = False
         self._note = ""
@@ -188,6 +193,7 @@ class Controller:
             throttle, brake = self._drive(plan, motion, run, now_ns)
             if plan is not None and plan.lost:
                 self._note, throttle, brake = plan.note, 0.0, max(brake, self._settings.final_brake)
+            self._finish(vehicle_standing, motion.speed_mps, now_ns)
             self._give_up(vehicle_standing, now_ns)
         return VehicleCommand(
             t_sensor_ns=plan.t_sensor_ns if plan is not None else motion.t_ns,
@@ -203,6 +209,19 @@ class Controller:
             cones_count_all=last.cones_count_all if last is not None else 0,
             note=self._note,
         )
+
+    def _finish(self, vehicle_standing: bool, speed: float, now_ns: int) -> None:
+        """Set the mission's end where the car stands at its stopping place, or does not come to rest there gently."""
+        since_ns = self._ending_since_ns
+        if since_ns is not None:
+            overdue = speed > GENTLE_END_MPS or now_ns - since_ns > GENTLE_END_S * 1e9
+            self._finished |= vehicle_standing or overdue
+
+    def _end_brake(self, speed: float) -> float:
+        """Return the brake at the stopping place: gentle while the car is slow and moves, else firm."""
+        if self._finished or speed > GENTLE_END_MPS:
+            return self._settings.final_brake
+        return max(brake_for(self._car, GENTLE_END_MPS2, speed), LEAST_BRAKE)
 
     def _give_up(self, vehicle_standing: bool, now_ns: int) -> None:
         """Ask for the end, with the reason, where the car has stood for too long instead of driving."""
@@ -222,11 +241,12 @@ class Controller:
         speed = motion.speed_mps
         there = self._history.at(plan.t_sensor_ns) if plan is not None else None
         if plan is None or there is None:
-            return self._no_way("no plan from the planner")
+            return self._no_way(speed, "no plan from the planner")
         driven = motion_at(motion, now_ns).distance_m - there.distance_m
         stop_m = None if plan.stop_distance_m is None else plan.stop_distance_m - driven
-        if plan.finished and (speed < NEARLY_AT_REST_MPS or (stop_m is not None and stop_m <= 0.1 * speed + 0.3)):
-            self._finished = True
+        there_now = speed < NEARLY_AT_REST_MPS or (stop_m is not None and stop_m <= 0.1 * speed + 0.3)
+        if plan.finished and there_now and self._ending_since_ns is None:
+            self._ending_since_ns = now_ns
         if plan is not self._planned:
             self._planned, self._line = plan, line_of(np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2))
             self._profile = (
@@ -234,19 +254,21 @@ class Controller:
             )
         line = self._line
         if line is None:
-            return self._no_way(f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
+            return self._no_way(speed, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
 
         x, y, course, travel = self._predicted(there, motion, now_ns)
         station, left = line.beside(x, y, driven)
         if abs(left) > ASIDE_MAX_M or station < -AHEAD_MAX_M:
-            return self._no_way("the path is not where the car is")
+            return self._no_way(speed, "the path is not where the car is")
         length_m = line.along_m[-1] - station
         if length_m < settings.path_min_m:
-            return self._no_way(f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else ""))
+            return self._no_way(
+                speed, f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else "")
+            )
         curvature = math.tan(self._steered[-1][1]) / self._car.wheelbase_m
         self._steer(curvature, steering_rate(line, station, left, course, curvature, speed), now_ns)
-        if self._finished:
-            return 0.0, settings.final_brake
+        if self._ending_since_ns is not None:
+            return 0.0, self._end_brake(speed)
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
         if plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
             self._note = "the path ends and is not believed to go on" + (f": {plan.note}" if plan.note else "")
@@ -352,11 +374,12 @@ class Controller:
             return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
         return throttle_for(self._car, wanted, speed), 0.0
 
-    def _no_way(self, why: str) -> tuple[float, float]:
+    def _no_way(self, speed: float, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
         self._braking, self._note = True, why
         self._acceleration_mps2 = 0.0
-        return 0.0, self._settings.final_brake if self._finished else self._settings.gentle_brake
+        ending = self._ending_since_ns is not None
+        return 0.0, self._end_brake(speed) if ending else self._settings.gentle_brake
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)

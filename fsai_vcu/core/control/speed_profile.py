@@ -15,6 +15,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.control.path_tracking import STEP_M
 
 SMOOTHED_OVER = 5  # points: a curvature counts for the speed when it lasts
+GENTLE_END_M, GENTLE_STOP_MPS2 = 1.5, 1.5  # before the place where the car must stand: no jolt
 BRAKING_SHARE_MIN = 0.2  # of the braking, that is left in a corner at the limit of grip
 
 
@@ -56,4 +57,8 @@ def speed_profile(
         square = min(squares[at], square + 2.0 * STEP_M * braking * braking_share(used[at + 1] * square))
         squares[at] = square
     whole = np.array(squares)
-    return whole if stop_m is None else np.minimum(whole, 2.0 * stopping * np.maximum(stop_m - along, 0.0))
+    if stop_m is None:
+        return whole
+    left_m = np.maximum(stop_m - along, 0.0)
+    gentle_m = np.minimum(left_m, GENTLE_END_M)
+    return np.minimum(whole, 2.0 * (min(GENTLE_STOP_MPS2, stopping) * gentle_m + stopping * (left_m - gentle_m)))
