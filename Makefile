@@ -110,8 +110,12 @@ planning: setup  ## the same on 50 generated circuits, into docs; TRACKS="FILE.c
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
 	$(BIN)/python -m fsai_hil.bench control
 
+SPY = $(BIN)/py-spy record --function --rate 400 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
-	$(BIN)/python -m fsai_hil.bench profile -o docs/pictures
+	$(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
+	$(SPY) docs/pictures/profile-loop.svg -- $(BIN)/python -m fsai_hil.bench.loop
+	taskset -c 0 $(SPY) docs/pictures/profile-decode.svg -- $(BIN)/python -m fsai_vcu.cli.main decode out/profile.log >/dev/null
+	$(SPY) docs/pictures/profile-planning.svg -- $(BIN)/python -m fsai_hil.bench planning trackdrive --condition ideal
 
 ##@ For others
 install:  ## install as the car's software, as root, who only copies (or below DESTDIR=...); docs/car.md says what comes next

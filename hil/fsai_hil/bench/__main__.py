@@ -1,7 +1,7 @@
-"""`python -m fsai_hil.bench`: how fast the product is beside what everybody would take instead, and how well it drives.
+"""`python -m fsai_hil.bench` measures how fast the product is beside its peers, and how well it plans and drives.
 
     python -m fsai_hil.bench speed --quick -o out/bench
-    python -m fsai_hil.bench planning | control | profile
+    python -m fsai_hil.bench planning | control
 
 Speed is measured as ratios to a peer in the same run, by processor time, the kernel's part too, so that other programs
 on the machine cost nothing. That both give the same values is shown in `tests/interface`. One figure is judged, but for
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsai_hil import CHECKOUT
-from fsai_hil.bench import control, decode, loop, planning, profile
+from fsai_hil.bench import control, decode, loop, planning
 from fsai_hil.bench.rows import Row, compared, table
 from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.simulator.tracks import TrackError
@@ -31,7 +31,7 @@ TIME = "processor time, user and kernel"
 
 
 class Effort(NamedTuple):
-    """How much is run."""
+    """The number of rounds, turns, starts, drives and frames that a run takes."""
 
     rounds: int
     turns: int  # of a comparison in each round
@@ -117,9 +117,10 @@ def _words(figure: dict[str, float] | None) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0: measured, and nothing is wrong; 1: something is; 2: wrong use."""
-    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=(__doc__ or "").partition(": ")[2][:104])
+    words = "measure the speed beside what others take, and how well planning and control drive"
+    parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=words)
     verbs = parser.add_subparsers(dest="bench", required=True)
-    for name, module in (("planning", planning), ("control", control), ("profile", profile)):
+    for name, module in (("planning", planning), ("control", control)):
         words = (module.__doc__ or "").splitlines()[0]
         module.add_arguments(verbs.add_parser(name, help=words, description=words))
     fast = verbs.add_parser("speed", help="codec, answer, logs, start and whole missions, as ratios to a peer's time")

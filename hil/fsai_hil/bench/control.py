@@ -1,4 +1,4 @@
-"""How well the car follows paths and speeds, beside plain pure pursuit.
+"""The bench of control measures how well the car follows paths and speeds, beside plain pure pursuit.
 
 Both drive the same paths through the same gate, bus and simulated car. The paths are given exactly, and with the few
 centimetres by which a lane finder's move and bend from plan to plan. Deviations are those of the true rear axle from
@@ -81,6 +81,7 @@ class Watched(Controller):
     def command(
         self, plan: Plan | None, motion: Motion, standing: bool, rpm: Any, steer_deg: float, run: Run, now_ns: int
     ) -> VehicleCommand:
+        """Command as the product does; keep the call's time, speed above the profile, and brakings."""
         began_s = time.thread_time()
         command = super().command(plan, motion, standing, rpm, steer_deg, run, now_ns)
         profile = self._profile
@@ -191,6 +192,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> str:
+    """Drive every path with both controllers, exact and moving; print and save what was counted."""
     given = [
         (
             f"{name} {v:g} m/s",

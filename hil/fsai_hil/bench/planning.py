@@ -1,4 +1,4 @@
-"""How well and how fast the planner finds the lane, under conditions that detectors meet.
+"""The bench of planning measures how well and how fast the lane is found, under conditions that detectors meet.
 
 The car is carried once round a closed track at 5 m/s and looks every half metre; every second look is judged. The
 planner remembers cones between looks, as on the car. A look fails if there is no path or one shorter than 5 m, or if

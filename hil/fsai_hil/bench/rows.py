@@ -50,7 +50,7 @@ def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: 
 
 
 def in_turns(unit: str, rounds: int, peer: tuple[str, Took], *ours: tuple[str, Took], cold: int = 0) -> list[Row]:
-    """Measure the peer and each of ours by name in every round, and return a row for each of ours.
+    """Measure the peer and each work by name in every round, and return a row for each work.
 
     A machine that slows down slows both. The first `cold` rounds, in which is done what is done once, do not count.
     """

@@ -31,7 +31,7 @@ Arc = tuple[float, float]  # its length, m, and its curvature, 1/m, left positiv
 
 
 class Style(Value, frozen=True):
-    """What a circuit is made of."""
+    """The ranges from which a circuit is drawn."""
 
     lane_m: tuple[float, float]
     hairpin_m: tuple[float, float]  # outside diameter; the rules' least is 9 m
@@ -66,7 +66,7 @@ def generated_circuit(seed: int, style: str = "mixed") -> Track:
 
 
 def _elements(draw: random.Random, style: Style, lane_m: float) -> list[list[Arc]]:
-    """What is between the straights; the last one completes the turn of the lap, where it can."""
+    """Draw what is between the straights; the last one completes the turn of the lap, where it can."""
     tightest_m = max(style.hairpin_m[0], 2.0 * lane_m + BETWEEN_LANES_M)
     elements: list[list[Arc]] = []
     for _ in range(draw.randint(4, 8)):
