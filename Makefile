@@ -112,7 +112,7 @@ bench-control: setup  ## how well the car follows paths and speeds, beside plain
 
 SPY = $(BIN)/py-spy record --function --rate 400 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
-	$(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
+	mkdir -p out && $(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
 	$(SPY) docs/pictures/profile-loop.svg -- $(BIN)/python -m fsai_hil.bench.loop
 	taskset -c 0 $(SPY) docs/pictures/profile-decode.svg -- $(BIN)/python -m fsai_vcu.cli.main decode out/profile.log >/dev/null
 	$(SPY) docs/pictures/profile-planning.svg -- $(BIN)/python -m fsai_hil.bench planning trackdrive --condition ideal
