@@ -96,22 +96,26 @@ scrutineering: setup  ## the handshake's response time on a real vcan0, idle and
 	$(BIN)/fsai-vcu scrutineering
 
 bench: setup-for-tests  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks; minutes
-	$(BIN)/python -m fsai_hil.rehearsal.bench $(ARGS)
+	$(BIN)/python -m fsai_hil.bench speed $(ARGS)
 
 bench-check: setup-for-tests  ## bench; fails where a ratio fell below docs/evidence/bench.json; ARGS=--write renews that
-	$(BIN)/python -m fsai_hil.rehearsal.bench --check $(ARGS)
+	$(BIN)/python -m fsai_hil.bench speed --check $(ARGS)
 
 bench-planning: setup  ## how well and how fast the lane is found, with cones missing, swapped, invented or without colours
-	$(BIN)/python -m fsai_hil.rehearsal.bench_planning
+	$(BIN)/python -m fsai_hil.bench planning
 
 planning: setup  ## the same on 50 generated circuits, into docs; TRACKS="FILE.csv …": more; 15 minutes
-	$(BIN)/python -m fsai_hil.rehearsal.bench_planning -o docs/evidence/planning.md $(TRACKS) $$(seq -f generated-%.0f 50)
+	$(BIN)/python -m fsai_hil.bench planning -o docs/evidence/planning.md $(TRACKS) $$(seq -f generated-%.0f 50)
 
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
-	$(BIN)/python -m fsai_hil.rehearsal.bench_control
+	$(BIN)/python -m fsai_hil.bench control
 
+SPY = $(BIN)/py-spy record --function --rate 400 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
-	$(BIN)/python -m fsai_hil.rehearsal.profiles -o docs/pictures
+	mkdir -p out && $(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
+	$(SPY) docs/pictures/profile-loop.svg -- $(BIN)/python -m fsai_hil.bench.loop
+	taskset -c 0 $(SPY) docs/pictures/profile-decode.svg -- $(BIN)/python -m fsai_vcu.cli.main decode out/profile.log >/dev/null
+	$(SPY) docs/pictures/profile-planning.svg -- $(BIN)/python -m fsai_hil.bench planning trackdrive --condition ideal
 
 ##@ For others
 install:  ## install as the car's software, as root, who only copies (or below DESTDIR=...); docs/car.md says what comes next

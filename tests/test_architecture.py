@@ -107,6 +107,7 @@ ARROWS: dict[str, set[str]] = {
     },
     "fsai_hil.evidence": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_vcu"},
     "fsai_hil.rehearsal": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_hil.vcan", "fsai_vcu"},
+    "fsai_hil.bench": {"fsai_hil", "fsai_hil.rehearsal", "fsai_hil.simulator", "fsai_vcu"},
     "fsai_hil.cli": {"fsai_hil", "fsai_vcu"},
 }
 
@@ -123,6 +124,7 @@ FORBIDDEN = {
     "fsai_hil.rules": CLOCKS_AND_IO | ROS | {"fsai_vcu.core.supervision", "fsai_vcu.core.bridge"},
     "fsai_hil.simulator": ROS | {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},
     "fsai_hil.rehearsal": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},
+    "fsai_hil.bench": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},
     "fsai_hil.evidence": ROS | {"fsai_vcu.cli"},
 }
 

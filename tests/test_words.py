@@ -12,7 +12,7 @@ import pytest
 
 CHECKOUT = Path(__file__).parents[1]
 LISTED = "CONTRIBUTING.md"
-DESCRIBED = ("fsai_vcu", "nodes")  # folders whose docstrings name the thing, or say what it does
+DESCRIBED = ("fsai_vcu", "hil", "nodes")  # folders whose docstrings name the thing, or say what it does
 FRAGMENT = re.compile(r"\s*(Of|What|Where|Whether|Who|How|Those|That|Which|When|If)\b")
 LONG = 15  # lines: a caller should not have to read a function of that length
 REFUSED = re.compile(r"\b(anew|for good|of ours|surely|the way driven|one beside the bus)\b", re.IGNORECASE)

@@ -28,6 +28,7 @@ FULL = 300
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
     add = parser.add_argument
     add("--runs", type=int, default=RUNS, metavar="N", help=f"runs from snapshots (default: {RUNS})")
     add("--full", type=int, default=FULL, metavar="N", help=f"full-length runs (default: {FULL})")
@@ -74,6 +75,7 @@ def _table(record: Path, output: Path | None) -> int:
 
 
 def _campaign(args: argparse.Namespace) -> int:
+    """Do the runs that the record lacks, then print and write its table; return the exit status."""
     plan = _plan(args)
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
@@ -114,6 +116,7 @@ def _worse(line: Mapping[str, Any]) -> str:
 
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:
+    """Return the plan that the arguments ask for. Raises ValueError in words for the user."""
     if args.runs < 0 or args.full < 0 or args.runs + args.full < 1:
         raise ValueError("--runs and --full must be 0 or more, and one of them at least 1")
     if args.world_seeds is not None and args.world_seeds < 1:

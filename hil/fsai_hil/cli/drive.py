@@ -40,6 +40,7 @@ EXAMPLE = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
     add_setup_arguments(parser, "autocross")
     add = parser.add_argument
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
@@ -63,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Drive, then plot, animate and print the verdict; return the exit status."""
     try:
         if args.list_faults:
             print("\n".join(catalogue_lines()))
@@ -88,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _views(args: argparse.Namespace) -> Views | None:
-    """What keeps the views of --animate; what is wrong with it is said before a long drive."""
+    """Return the recorder of the views for --animate; it complains about missing parts before a long drive."""
     if args.animate is None:
         return None
     from fsai_hil.simulator.animation import Views, why_not
@@ -101,6 +103,7 @@ def _views(args: argparse.Namespace) -> Views | None:
 
 
 def _drive(args: argparse.Namespace, views: Views | None) -> Driven:
+    """Drive one mission without a fault in lockstep."""
     setup = setup_of(args, [args.mission or "autocross"], profile=args.profile, noise_level=args.noise)
     settings = ControllerSettings()
     if args.max_speed is not None:

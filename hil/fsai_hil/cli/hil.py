@@ -33,6 +33,7 @@ _PASSED_ON_PREFIXES = ("LANG", "LC_", "FSAI_", "ROS_", "_ROS_", "PYTEST_", "PYTH
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments; the unknown ones are pytest's."""
     parser.allow_abbrev = False
     parser.usage = (
         "%(prog)s [--all | --soak MINUTES] [--with NODE=PROGRAM] [--native | --uml] [--timeout S]"
@@ -82,6 +83,7 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the suite on a vcan0, here or in User-Mode Linux; return the exit status."""
     timeout_s = args.timeout
     if timeout_s is None:
         timeout_s = _TIMEOUT_ALL_S if args.all else _TIMEOUT_S + _SOAKED * 60.0 * (args.soak or 0.0)
@@ -145,7 +147,7 @@ def own_program(given: str) -> str:
 
 
 def prepared_place(args: argparse.Namespace) -> vcan.VcanHost:
-    """Where the arguments want the vcan0, with everything compiled. Raises VcanError."""
+    """Return the place of the vcan0 that the arguments ask for, with everything compiled. Raises VcanError."""
     place = vcan.choose_place("native" if args.native else "uml" if args.uml else "auto")
     for package in ("fsai_vcu", "hil", "nodes"):
         # Inside, Python cannot keep what it compiles, and would compile it for each process again.
@@ -163,7 +165,7 @@ def _selection(args: argparse.Namespace) -> list[str]:
 
 
 def environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:
-    """What a run with a vcan0 of its own sees of the caller's environment, and what it needs besides."""
+    """Return the part of the caller's environment that a run with a vcan0 of its own sees, and its own variables."""
     passed_on = loopback_environment(
         {name: value for name, value in caller.items() if name in _PASSED_ON or name.startswith(_PASSED_ON_PREFIXES)}
     )

@@ -31,7 +31,7 @@ In DIR: result.html (one page to print), result.json, bus.log, program.log."""
 
 
 def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """What follows `--` is the program's."""
+    """Parse the arguments; those that follow `--` are the program's."""
     words = list(argv)
     split = words.index("--") if "--" in words else len(words)
     args = parser.parse_args(words[:split])

@@ -27,6 +27,7 @@ _PER_CONDITION_S = 120.0  # powering up and driving off
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
     add = parser.add_argument
     add("--seconds", type=float, metavar="S", help=f"how long each condition is measured ({_SECONDS:g})")
     add("--conditions", metavar="NAME[,NAME…]", help="only these (default: all)")

@@ -46,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Load the track, and print, save and draw it as the arguments ask; return the exit status."""
     if (args.track is None) == (args.seed is None) or (args.style and args.seed is None):
         raise WrongUse("track takes either a file or a name, or --seed N and perhaps --style")
     name = args.track or f"generated-{args.seed}{f'-{args.style}' if args.style else ''}"
@@ -72,6 +73,7 @@ def _mission(track: Track) -> Ami:
 
 
 def _facts(track: Track) -> Iterator[str]:
+    """Yield the facts of a track, a line for each."""
     colors = Counter(ConeColor(color).name.lower() for color in track.cone_colors)
     yield f"{track.name}: {track.kind.value}" + (f", {track.length_m:.0f} m" if track.length_m else "")
     yield f"cones: {', '.join(f'{count} {color}' for color, count in colors.most_common()) or 'none'}"
@@ -110,6 +112,7 @@ def _before_m(track: Track, line: Pose, start: Pose) -> float:
 
 
 def _draw(track: Track, path: Path) -> None:
+    """Draw the track with the car at its start into a file."""
     path.parent.stat()  # before seconds go into matplotlib: it fails where there is no such folder
     try:
         import matplotlib

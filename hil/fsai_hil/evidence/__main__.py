@@ -21,7 +21,7 @@ JOBS = os.cpu_count() or 1
 
 @dataclass(slots=True)
 class Searched:
-    """What the search of one scope, or of one seeded fault's, has found."""
+    """The result of the search of one scope, or for one seeded fault."""
 
     name: str
     found: Search
@@ -55,6 +55,7 @@ def search_all(names: Sequence[str]) -> list[Searched]:
 
 
 def _print_totals(results: Sequence[Searched]) -> None:
+    """Print the sums of all scopes, their limits, and the rules with what broke them."""
     found = [one.found for one in results]
     print(
         f"{'in all':20} {sum(f.states for f in found):8,} {sum(f.transitions for f in found):12,} "
@@ -105,6 +106,7 @@ def search_seeds() -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Search the scopes and the seeded faults that the arguments name; return the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence",
         description="Visit every reachable state of supervisor and gate and the VCU; check every rule.",

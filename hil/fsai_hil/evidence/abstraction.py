@@ -1,4 +1,4 @@
-"""What a search tells apart in a bridge's state, and a state of the bridge made of it again.
+"""The abstraction of a bridge's state: what a search tells apart in it, and a state made of that again.
 
 `Abstraction.apart` maps over the fields of `BridgeState` and of the supervisor's and the gate's within it: one whose
 name ends in `_ns` is a time and becomes an age, any other stays as it is. A new field is so part of what is searched;
@@ -130,7 +130,10 @@ class Abstraction:
         self._data_may_be_lost = data_may_be_lost
 
     def apart(self, state: BridgeState, bit: bool, now: int) -> tuple[Content, list[int]]:
-        """What is no time, and the ages by `CLOCKS`, not yet rounded. `bit`: the handshake that the VCU sends now."""
+        """Return what is no time, and the ages by `CLOCKS`, not yet rounded.
+
+        `bit`: the handshake that the VCU sends now.
+        """
         s, vehicle = state.supervisor, state.vehicle
         driving, stop = s.driving, s.stop
         over = driving and stop is not None and s.emergency is not None  # nothing else happens in this run
@@ -190,6 +193,7 @@ class Abstraction:
         )
 
     def _supervisor(self, s: SupervisorState, command_ns: int | None, over: bool, now: int) -> SupervisorState:
+        """Return the supervisor's state with every time put back to the age that still matters."""
         c, driving, stop = self._config, s.driving, s.stop
         still_since_ns, speeds_ns = s.still_since_ns, s.speeds_ns
         if still_since_ns is not None:  # it counts up to the last wheel speeds, while those are fresh
@@ -239,7 +243,7 @@ class Abstraction:
         )
 
     def _command(self, state: BridgeState, over: bool, now: int) -> tuple[int | None, Content | None]:
-        """When the command in the slot, and its data, count as handed in, and what may still be obeyed of it.
+        """Return when the command in the slot, and its data, count as handed in, and what may still be obeyed of it.
 
         A command is used in AS_DRIVING only, and there each cycle may bring a new one. Its own age and that of its data
         count together: data of 500 ms ages like a command of 100 ms.
@@ -265,7 +269,7 @@ _AT_REST: Final = standing_start(0)
 
 
 def _reported(state: BridgeState) -> Content:
-    """What the bridge looks at of the car's messages."""
+    """Return the part of the car's messages that the bridge looks at."""
     vehicle, gate = state.vehicle, state.gate
     driving = state.supervisor.driving
     status, speeds, steer, axle, brake = (
@@ -286,6 +290,7 @@ def _reported(state: BridgeState) -> Content:
 
 
 def _vehicle(reported: Content, times: Sequence[int | None], handshake: bool, *, known: bool) -> VehicleState:
+    """Make the vehicle's state of what is reported and of the messages' times."""
     status, rpm, angle_max_deg, torque_max_nm, echo = cast(Any, reported)
     status_ns, speeds_ns, steer_ns, axle_ns = cast(Sequence[int], times)
     frames = {}
@@ -341,6 +346,7 @@ def _frame(can_id: int, image: Image | None, now: int, handshake: bool | None = 
 def status_frame(
     bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int
 ) -> CarFrame:
+    """Return a 0x520 as the searched car sends it."""
     image = VcuStatus(
         handshake=bit,
         shutdown_request=_REQUEST in marks,

@@ -138,6 +138,7 @@ def put(signal: Signal, value: float | Changed, since: Moment = BEGIN, until: Mo
     """A signal has that value from then to then, or what a function makes of the values that it had."""
 
     def act(log: Log) -> Log:
+        """Write the value into the signal's frames, where this car sends it."""
         layout = log.run.decoder.databases.by_name(signal.message)
         if layout is None:
             return log

@@ -36,7 +36,7 @@ LISTED: Final = 40  # failures
 
 
 class Condition(Value, frozen=True):
-    """How the cones are seen."""
+    """A condition of the cone sensor: its noise, losses and mistakes."""
 
     what: str
     sensor: SensorSettings = SensorSettings()
@@ -114,7 +114,7 @@ def _failed(run: Mapping[str, Any]) -> str:
 
 
 def _row(group: Sequence[Mapping[str, Any]]) -> str:
-    """Of one mission, track and condition; times of the runs that passed."""
+    """Return the row of one mission, track and condition; its times are those of the runs that passed."""
     passed = [run for run in group if run["result"] == "pass"]
     times = [time for run in passed for time in run["times_s"]]
     of_first = [sum(run["times_s"]) / len(run["times_s"]) / run["times_s"][0] for run in passed if run["times_s"][1:]]
@@ -201,6 +201,7 @@ def _tracks(texts: Iterable[str]) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Drive the missions that the arguments name; return the exit status."""
     every = ",".join(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence.missions",
@@ -225,6 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _drive(asked: Sequence[Case], args: argparse.Namespace) -> int:
+    """Do the runs that the record lacks, and print or write the table of all; return the exit status."""
     with Record(args.record, {"missions": digest()}) as record:
         if record.kept_as:
             print(f"{record.path} was of other sources, and is now {record.kept_as}", file=sys.stderr)

@@ -73,7 +73,7 @@ LEFT_OUT: Final = (
     "what the codec reads of a frame's bytes (tests of its own, the fuzz, the campaign)",
     "odometry, and words for people",
 )
-"""What a mistake may be in without a trace in this search, and what looks at that instead."""
+"""The parts in which a mistake leaves no trace in this search, and what looks at them instead."""
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
 CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
@@ -118,7 +118,7 @@ COMMANDS: Final[Mapping[str, Ask]] = {
 
 
 class Choice(Value, frozen=True):
-    """What the environment does in one cycle. The defaults: a car that is well and at rest, a planner that drives."""
+    """The environment's part of one cycle. The defaults: a car that is well and at rest, a planner that drives."""
 
     command: str = "drive"
     lost: frozenset[str] = frozenset()  # messages of the car that do not come
@@ -146,7 +146,7 @@ class Choice(Value, frozen=True):
 
     @property
     def words(self) -> str:
-        """What is out of the ordinary in it, by the names above."""
+        """Name what is out of the ordinary in it, by the names above."""
         given = zip(self.__struct_fields__, self.__struct_defaults__, strict=True)
         chosen = {name: value for name, default in given if (value := getattr(self, name)) != default}
         return "; ".join(f"{name} {_plain(value)}" for name, value in chosen.items()) or "nothing out of the ordinary"
@@ -164,7 +164,7 @@ def _plain(value: object) -> str:
 
 
 class Setting(Value, frozen=True):
-    """What is searched: the configuration of the AI side and the car at the other end."""
+    """The subject of a search: the configuration of the AI side and the car at the other end."""
 
     config: BridgeConfig = field(default_factory=lambda: BridgeConfig(steer_rate_degps=1500.0))
     revision: str = "2026"
@@ -295,7 +295,7 @@ TROUBLES: Final[Mapping[str, Callable[[WatchedBridge, int], object]]] = {
     "frames waited for 20 ms": lambda b, now: b.backlog(BACKLOG_NS, now),
 }
 RESTART: Final = "restart"  # another process takes the bridge's place
-"""What may happen to the process in a cycle, by what `Choice.event` says."""
+"""The troubles that befall the process in a cycle, by the name in `Choice.event`."""
 
 
 @dataclass(slots=True)
@@ -352,6 +352,7 @@ class Composition:
     """
 
     def __init__(self, scope: Scope, only_rule: str = "") -> None:
+        """Begin with a bridge, a VCU and a checker that have seen nothing."""
         setting = scope.setting
         assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
         self._only_rule = only_rule
@@ -465,7 +466,7 @@ class Composition:
             yield from self.moves_under(label, state, bridge)
 
     def labels(self, state: State, bridge: BridgeState) -> range:
-        """What the environment may choose in a state."""
+        """Return the choices that the environment has in a state."""
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
         listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self.scope.path
         count = len(self.choices) if driving else self.scope.path if listening else self.scope.anywhere
@@ -475,7 +476,7 @@ class Composition:
         return range(count)
 
     def moves_under(self, label: int, state: State, bridge: BridgeState) -> Iterable[Move]:
-        """What one choice brings: the next cycle, or, where that changes nothing, the next timers."""
+        """Yield what one choice brings: the next cycle, or, where that changes nothing, the next timers."""
         choice = self.choices[label]
         (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS, bridge)
         target = disc, self._rounded(raw)
@@ -497,7 +498,7 @@ class Composition:
             yield Move(label, wait_ns, (disc, self._rounded(later)), problems, asked)
 
     def _waits(self, ages: tuple[int, ...], raw: Sequence[int]) -> tuple[int, ...]:
-        """How long until the next timer has run for T - 1 ns and for T; none if no timer runs that has not run out."""
+        """Return the times until the next timer has run for T - 1 ns and for T; none where all have run out."""
         left = [
             edge - age
             for age, new, edges in zip(ages, raw, self._edges, strict=True)
@@ -596,6 +597,7 @@ class Composition:
                 v.state, v.since_ns = row.target, now
 
     def _car_speaks(self, choice: Choice, now: int) -> None:
+        """Send the car's messages of one cycle to the bridge and the checker."""
         v = self._vcu
         if v.echo_ns is None:
             v.bit = not v.bit
@@ -624,7 +626,7 @@ class Composition:
     # ------------------------------------------------------------ the wire
 
     def _images(self, asked: AiCommand) -> tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]:
-        """What the real codec makes of it: its five frames, decoded again, and what is wrong with them (rule 8)."""
+        """Return the real codec's five frames of it, decoded again, and what is wrong with them (rule 8)."""
         made = self._encoded.get(asked)
         if made is None:
             images: list[tuple[int, AiImage]] = []

@@ -44,7 +44,7 @@ IMPOSSIBLE: Final = (65535, 65535, 65535, 65535)
 _WELL = Choice()
 GO = replace(_WELL, go=True)
 PATH: Final = (_WELL, replace(_WELL, request="autonomous"), GO)
-"""What brings a car into AS_DRIVING: autonomous asked for, Go after 5 s."""
+"""The choices that bring a car into AS_DRIVING: autonomous asked for, Go after 5 s."""
 
 _SILENT_STANDING = replace(GO, command="none")
 _SILENT_MOVING = replace(GO, command="none", rpm=MOVING)

@@ -31,7 +31,7 @@ class Move(Value, frozen=True):
 
 @dataclass(slots=True)
 class Search:
-    """What a search found."""
+    """The result of a search."""
 
     states: int = 0
     transitions: int = 0

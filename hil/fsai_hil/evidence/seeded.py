@@ -44,7 +44,7 @@ from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.interface.values import Value
 
 Patches = tuple[tuple[Any, str, object], ...]
-"""What another value stands for while a seed is in force: its owner, its name, and the value."""
+"""The names that have another value while a seed is in force: owner, name, and the value."""
 
 
 class Seed(Value, frozen=True):
@@ -57,7 +57,6 @@ class Seed(Value, frozen=True):
     rule: str
     scope: str
     patches: Patches = ()
-    shows_in_fuzz: bool = True
 
     def configured(self, setting: Setting) -> Setting:
         """The setting with what this mistake configures otherwise."""
@@ -79,7 +78,7 @@ def _reported(*reasons: Reason) -> Patches:
 
 
 def _first_step(reason: Reason) -> Patches:
-    """Of a graded reaction only the first step is left."""
+    """Leave only the first step of a graded reaction."""
     return _reactions({reason: REACTIONS[reason][:1]})
 
 
@@ -140,7 +139,7 @@ def _rounded_up(limit_nm: float | None, share: float) -> float:
 
 
 def _first_bit_alone(now: VcuStatus, before: VcuStatus) -> VcuStatus:
-    """Where a fault bit is shown already, no other rises."""
+    """Let no other fault bit rise while one is shown."""
     return replace(now, faults=before.faults) if any(astuple(before.faults)) else now
 
 
@@ -388,21 +387,10 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
         "a stop without effect goes unnoticed": ("limits", _reactions({Reason.STOP_INEFFECTIVE: ()})),
     },
 }
-"""Of each rule, by name: the scope in which the mistake breaks it, and how it is made."""
+"""The mistakes of each rule, by name: the scope in which the mistake breaks it, and how it is made."""
 
-_NOT_IN_FUZZ: Final = {
-    "AS_READY is enough 1 ns early",  # its AS_READY lasts whole cycles
-    "an AS_STATE is known again 1 ns early",  # so does what its 0x520 says
-    "SELECTED counts though its cycle was cut short",  # it goes out again and again: no whole cycle in 5 s is too rare
-    "what is lost is sent to all the same",  # its loop sends nothing to a bus that is lost, whatever the bridge says
-    "a stale command asks for the emergency at once",  # who looks at frames alone takes any ESTOP_REQUEST
-    "one fault bit hides the others",  # two bits one after the other, and no other stop before, are too rare
-    "odd wheels never ask for the emergency",  # what the process takes for implausible is hidden from it
-    "what has been shown since before the run stops it",  # who looks at frames alone takes any stop
-    "the command does not steer",  # who looks at frames alone does not ask that steering moves
-}
 SEEDS: Final = tuple(
-    Seed(name, rule, where, patches, name not in _NOT_IN_FUZZ)
+    Seed(name, rule, where, patches)
     for rule, mistakes in _MISTAKES.items()
     for name, (where, patches) in mistakes.items()
 )

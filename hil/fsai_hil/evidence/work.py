@@ -42,11 +42,11 @@ DRIVEN: Final = {
     fsai_vcu: ("core/**/*", "interface/**/*", "runtime/**/*", "diagnostics/log/*", "diagnostics/statistics/quantiles"),
     fsai_hil: ("rules/**/*", "simulator/**/*", "evidence/campaign/**/*"),
 }
-"""Where the code is that decides a run: what is driven, the rules, and what these import of the diagnostics. The
+"""The places of the code that decides a run: what is driven, the rules, and what these import of the diagnostics. The
 command line, the nodes and the rest of the evidence change none."""
 
 Header = Mapping[str, Any]
-"""What decides every result: records with the same header hold the same. Its first key is the record's kind."""
+"""The facts that decide every result: records with equal headers hold the same. The first key is the record's kind."""
 
 
 class RecordError(ValueError):
@@ -62,7 +62,7 @@ def digest_of(files: Mapping[str, Path]) -> str:
 
 
 def driven_files() -> dict[str, Path]:
-    """What decides a run, by names that are the same wherever it is installed: code and signal databases."""
+    """Return the files that decide a run, by names that are the same on every machine: code and signal databases."""
     found = {path.name: path for path in dbc_dir().glob("*.dbc")}
     for package, parts in DRIVEN.items():
         root = Path(str(package.__file__)).parent

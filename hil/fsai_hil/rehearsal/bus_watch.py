@@ -1,4 +1,4 @@
-"""What the bus of a rehearsal shows, by candump: while it is logged, and of the log."""
+"""A watch on the bus of a rehearsal, by candump: while it is logged, and of the log."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ Image = TypeVar("Image", AiStatus, AiDriveFront, AiDriveRear, AiBrake, VcuStatus
 
 
 def listeners(interface: str) -> int:
-    """How many filters of all sockets are on the interface, as the kernel counts them."""
+    """Return how many filters of all sockets are on the interface, as the kernel counts them."""
     return sum(path.read_text().split().count(interface) for path in Path("/proc/net/can").glob("rcvlist_*"))
 
 
 def send_signal(pid: int, number: signal.Signals) -> tuple[int, int]:
-    """When it was sent, at the earliest, by the clock of the bus log; and how much later it may have been."""
+    """Send a signal; return when, at the earliest, by the clock of the bus log, and how much later it may have been."""
     before_ns = time.time_ns()
     os.kill(pid, number)
     return before_ns, time.time_ns() - before_ns
@@ -63,7 +63,7 @@ class Wire:
         return [(t_ns, image) for t_ns, image in decoded if isinstance(image, kind)]
 
     def first(self, kind: type[Image], since_ns: int, condition: Callable[[Image], bool] = lambda _: True) -> float:
-        """How long after `since_ns` the first of this kind with `condition` was on the bus; infinite if none was."""
+        """Return how long after `since_ns` the first of this kind with `condition` was on the bus; infinite if none."""
         return next((t_ns - since_ns for t_ns, image in self.images(kind, since_ns) if condition(image)), math.inf)
 
     def estop_after(self, since_ns: int) -> float:
@@ -73,7 +73,7 @@ class Wire:
         return self.first(AiBrake, since_ns, lambda brake: brake.front_pct > 0)
 
     def torque_ends(self, since_ns: int) -> int:
-        """How long after `since_ns` torque was last asked for; 0 if it was not."""
+        """Return how long after `since_ns` torque was last asked for; 0 if it was not."""
         front = [(t_ns, image.torque_nm) for t_ns, image in self.images(AiDriveFront, since_ns)]
         rear = [(t_ns, image.torque_nm) for t_ns, image in self.images(AiDriveRear, since_ns)]
         return max((t_ns - since_ns for t_ns, torque_nm in (*front, *rear) if torque_nm > 0), default=0)
@@ -94,7 +94,7 @@ class Wire:
 def responses_in(
     frames: Iterable[Frame], codec: Codec, windows: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[ResponseTimes, list[str]]]:
-    """How long echoes took in each window, by the stamps of both frames, and the rules that were broken there.
+    """Return how long echoes took in each window, by the stamps of both frames, and the rules that were broken there.
 
     windows: from and to, by the clock of the frames; they follow one another.
     """

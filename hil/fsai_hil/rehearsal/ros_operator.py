@@ -21,6 +21,7 @@ class RosOperator:
     """One ROS node on the stack's domain. Not thread-safe; it listens only while one of its methods runs."""
 
     def __init__(self, stack: Stack, name: str = "operator") -> None:
+        """Join the stack's ROS domain, with a client for each of the bridge's interfaces."""
         self._stack = stack
         # rclpy reads its environment once, when it is first initialised.
         for variable in VARIABLES:
@@ -104,7 +105,7 @@ class RosOperator:
         return self.await_state(lambda _: True, timeout_s, what)
 
     def diagnostics(self, part: str) -> dict[str, str]:
-        """What the bridge next publishes of its 'link', 'supervision', 'car' or 'loop': its message and its values."""
+        """Return message and values that the bridge next publishes of its 'link', 'supervision', 'car' or 'loop'."""
         self._diagnostics.pop(part, None)
         self.await_that(lambda: part in self._diagnostics, ANSWER_TIMEOUT_S, f"/diagnostics has the {part}")
         return self._diagnostics[part]

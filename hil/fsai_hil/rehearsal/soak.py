@@ -80,7 +80,7 @@ class Sampler:
         self._thread.join()
 
     def since(self, t_s: float, without: Sequence[tuple[float, float]] = ()) -> dict[str, list[ProcessSample]]:
-        """What was seen after the warm-up; not in the periods `without`, from and to on the monotonic clock in s."""
+        """Return what was seen after the warm-up, but not in the periods `without` (from, to; monotonic clock, s)."""
         return {
             name: [each for each in samples if each.t_s >= t_s and not _within(each.t_s, without)]
             for name, samples in self.samples.items()
@@ -104,6 +104,7 @@ class Flatness:
         return {"flat": self.flat, **asdict(self)}
 
     def __str__(self) -> str:
+        """Print a line for each process, then the response times and what was not flat."""
         lines = [f"{'process':<20} {'memory MiB':>17} {'MiB/h':>8} {'descriptors':>13} {'threads':>9}"]
         for trend in self.trends:
             rss = " -> ".join(f"{mib:.1f}" for mib in trend["rss_mib"])
@@ -127,7 +128,7 @@ def _within(t: float, periods: Sequence[tuple[float, float]]) -> bool:
 def response_parts(
     log: Path, codec: Codec, since_ns: int, without: Sequence[tuple[float, float]] = ()
 ) -> list[ResponseTimes]:
-    """How long each toggle of the handshake waited for its echo, on the bus, in each part of the time.
+    """Return how long each toggle of the handshake waited for its echo, on the bus, in each part of the time.
 
     `since_ns`, and from and to of the periods that are left out, `without`: ns of the log's clock.
     """

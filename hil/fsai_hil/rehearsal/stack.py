@@ -85,6 +85,7 @@ class RunningProcess:
         stdin: int | None = subprocess.DEVNULL,
         stderr: int | IO[bytes] = subprocess.STDOUT,
     ) -> None:
+        """Start the program in a session of its own; its output goes into the log."""
         self.name = name
         self.log_path = log_path
         self._log: IO[bytes] = log_path.open("ab")
@@ -149,7 +150,7 @@ class RunningProcess:
         holds_within(taken, timeout_s, insist)
 
     def ask(self, line: str, answer: str, timeout_s: float) -> str:
-        """What it has printed before its answer to a line."""
+        """Write it a line; return what it has printed before its answer."""
         answers = self.log().count(answer)
         self.type(line)
         await_condition(lambda: self.log().count(answer) > answers, timeout_s, f"{self.name} answers '{line}'")

@@ -70,7 +70,7 @@ class StallMonitor:
         return [woken_ns - due_ns for due_ns, woken_ns in self.stalls(since_ns, at_least_ns)]
 
     def disturbed(self, since_ns: int, at_least_ns: int = NOTED_NS) -> str:
-        """That the machine stood still since then, in words; '' if it did not. What is rehearsed then shows nothing."""
+        """Say that the machine stood still since then; '' if it did not. What is rehearsed then shows nothing."""
         stalls = self.stalls_ns(since_ns, at_least_ns)
         more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
         return f"stood still for {max(stalls) / 1e6:.0f} ms{more}" if stalls else ""
@@ -103,7 +103,7 @@ def _stand_first() -> None:
 
 
 def watch(path: str) -> None:
-    """What the processes do, one on each processor, until they are killed or their parent is gone."""
+    """Watch every processor with a process of its own, until they are killed or their parent is gone."""
     first, parent = os.getpid(), os.getppid()
     processor, *others = os.sched_getaffinity(0)
     for other in others:

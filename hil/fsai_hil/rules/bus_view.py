@@ -41,7 +41,7 @@ IDLE: Final = (*OFF, AsState.AS_READY)
 _OFF_SEEN, _READY_SEEN, WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
 _LOOKED_AT: Final = VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts
 HEEDED_IDS: Final = frozenset((*AI_IDS, *(BY_NAME[kind.dbc_name].can_id for kind in _LOOKED_AT)))
-"""Of the rest, most of a bus, no rule asks for anything."""
+"""The identifiers of which a rule asks for something: of the rest, most of a bus, none does."""
 RESTART_GAP_NS: Final = 150 * MS  # a process that starts listens for 200 ms before its first frame
 BRAKE_STEP_PCT: Final = 0.5  # interface specification v4.0: the signal's resolution
 Saved = tuple[tuple[object, ...], tuple[int, ...]]
@@ -77,6 +77,7 @@ class BusView:
         short_sequence: bool = False,
         process: Process | None = None,
     ) -> None:
+        """Begin with a bus on which nothing has been seen; `WireChecker` explains the arguments."""
         self.found: list[tuple[int, Violation]] = []
         self.violation_count = 0
         self.codec = codec
@@ -149,7 +150,7 @@ class BusView:
     # ------------------------------------------------------------ as a value
 
     def saved(self, now_ns: int, *, data_may_be_lost: bool) -> Saved:
-        """What has been seen without the times, and the ages of the times in ns, below 0: never.
+        """Return what has been seen without the times, and the ages of the times in ns, below 0: never.
 
         What no rule looks at any more is forgotten. Where nothing is hidden, between two cycles.
         `data_may_be_lost`: a command may come that is lost as it comes, for its data is too old.
@@ -167,6 +168,7 @@ class BusView:
         self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
 
     def _forget(self, now_ns: int, data_may_be_lost: bool) -> None:
+        """Drop what no rule can ask for any more, so that a search need not tell it apart."""
         s = self.seen
         driving = s.as_state is AsState.AS_DRIVING
         age_ns = -1 if s.command_ns is None else now_ns - s.command_ns
@@ -241,7 +243,7 @@ class BusView:
             values.popleft()
 
     def possible(self, name: str, newest: Any, in_flight_ns: int | None = None) -> list[Any]:
-        """What a sender can have seen last by now."""
+        """Return what a sender can have seen last by now."""
         in_flight_ns = self.in_flight_ns if in_flight_ns is None else in_flight_ns
         values = self._late.get(name)
         if not in_flight_ns or not values:
@@ -251,6 +253,7 @@ class BusView:
         return [value for _, value in values]
 
     def on_any_status(self, decoded: Decoded, t_ns: int) -> None:
+        """Note a 0x520, believed or not: silence before it, and since when its AS state is known."""
         s = self.seen
         if s.any_status_ns is not None and t_ns - s.any_status_ns >= n.POWER_CYCLE_NS + self.in_flight_ns:
             s.silent = True
@@ -274,6 +277,7 @@ class BusView:
             self._note("bit", t_ns, bit, self.handshake_in_flight_ns)
 
     def _on_status(self, status: VcuStatus, t_ns: int) -> None:
+        """Follow AS state, Go and mission of a 0x520 that may be believed."""
         s, state, first = self.seen, status.as_state, self.seen.as_state is None
         unjudged = first and not self.from_start  # what was before a log is not known
         self._note("state", t_ns, state)
@@ -529,7 +533,7 @@ class BusView:
             s.autonomous, s.power_up = True, False
 
     def _look_at_the_run(self, age_ns: int | None, now_ns: int) -> None:
-        """What stops a run in AS_DRIVING by now, and what asks for the emergency brake (graded reactions)."""
+        """Find what stops a run in AS_DRIVING by now, and what asks for the emergency brake (graded reactions)."""
         s, process = self.seen, self.process
         assert process is not None and s.driving_ns is not None
         for why, holds in (
@@ -606,7 +610,7 @@ class BusView:
                 self._alarm(f"{name} implausible for 600 ms")
 
     def _look_at_wishes(self, launched_ns: int, now_ns: int) -> None:
-        """What the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
+        """Find what the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
         s, order = self.seen, self.order
         both = order is not None and order.throttle > 0.0 and order.brake > 0.0
         if both and order is not None and not self.nothing_hidden:
@@ -627,7 +631,7 @@ class BusView:
                 self._stop("mission complete: braking to a stop")
 
     def on_mode_shown(self, mode: str) -> None:
-        """What the process reports of its mode once it has decided what to send."""
+        """Take what the process reports of its mode once it has decided what to send."""
         s = self.seen
         if mode == "autonomous":
             if s.autonomous and self._must_turn_manual:
@@ -669,7 +673,7 @@ class BusView:
 
     @property
     def stood_before(self) -> bool:
-        """Whether a log that began less than half a second ago may have begun with a standing car."""
+        """Return whether a log that began less than half a second ago may have begun with a standing car."""
         return not self.from_start and not self.wheels.turned and self.now_ns - (self.start_ns or 0) < n.STILL_NS
 
     @property

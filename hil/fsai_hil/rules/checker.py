@@ -57,7 +57,7 @@ class WireChecker(BusView):
 
     @property
     def violations(self) -> list[str]:
-        """What broke a rule, with its time in the log."""
+        """Say what broke a rule, with its time in the log."""
         start_ns = self.start_ns or 0
         return [
             f"{(t_ns - start_ns) / S:.3f} s: {'rule ' if one.rule.isdigit() else ''}{one.rule}: {one.words}"
@@ -69,6 +69,7 @@ class WireChecker(BusView):
         return self.violation_count == 0
 
     def __str__(self) -> str:
+        """Print the figures of the log, then what was odd and every broken rule."""
         start_ns = self.start_ns or 0
         states = ", ".join(f"{state.label} at {(t_ns - start_ns) / S:.3f} s" for t_ns, state in self.as_states)
         lines = [
@@ -87,7 +88,7 @@ class WireChecker(BusView):
         return "\n".join(lines)
 
     def taken(self) -> tuple[Violation, ...]:
-        """What has been found since the last time, which is forgotten."""
+        """Return what has been found since the last time, which is forgotten."""
         found, self._broken = tuple(one for _, one in self.found), {}
         self.found = []
         return found
@@ -214,7 +215,7 @@ class WireChecker(BusView):
         self.cycle.ids.append(AI_IDS[0])
 
     def _answered(self, bit: bool, t_ns: int) -> None:
-        """How long the car waited for its echo."""
+        """Note how long the car waited for its echo."""
         if self.toggle is not None and bit == self.toggle[1]:
             self.responses.add(t_ns - self.toggle[0])
             self.toggle = None

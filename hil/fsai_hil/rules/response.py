@@ -37,7 +37,7 @@ class ResponseTimes:
         return None if time_ns is None else time_ns / NS_PER_MS
 
     def count_above(self, limit_ns: int) -> int:
-        """How many are longer than `limit_ns`."""
+        """Return how many are longer than `limit_ns`."""
         return int(np.count_nonzero(np.asarray(self._times_ns) > limit_ns))
 
     def histogram(self) -> list[tuple[float | None, int]]:

@@ -1,4 +1,4 @@
-"""What the checker of the rules has seen on the bus and was asked by people, as a value."""
+"""The checker's memory of the bus and of what people asked, as a value."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ NOBODY: Final[frozenset[str]] = frozenset()
 
 
 class Violation(NamedTuple):
-    """Which rule does not hold, and what is wrong."""
+    """A rule that does not hold, and what is wrong."""
 
     rule: str
     words: str
 
 
 class Order(NamedTuple):
-    """What a valid command asks for."""
+    """The wishes of a valid command."""
 
     steer_deg: float
     throttle: float
@@ -51,7 +51,7 @@ class Process(Value, frozen=True):
 
 
 class Seen(Struct):
-    """What has been seen on the bus and was asked by people, as a value: no part of it is ever changed in place.
+    """The memory of the bus and of what people asked, as a value: no part of it is ever changed in place.
 
     Times are ns; None: never. What the wheels report is in `Wheels`.
     """
@@ -170,7 +170,7 @@ FAULT_STATE: Final = 15  # of each of them (2026); what no table knows is read a
 
 
 def marks_of(status: VcuStatus) -> frozenset[str]:
-    """What of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
+    """Return what of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
     cause = status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN
     states = status.ebs_state, status.ts_state, status.op_state
     return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause, states, status.ami)
@@ -186,6 +186,7 @@ def _marks(
     states: tuple[CarEnum | None, ...],
     ami: Ami,
 ) -> frozenset[str]:
+    """Return the marks of a 0x520 with these fields by their names; cached, for fields rarely change."""
     shown = {
         f"AMI_STATE becomes {ami.label}": True,
         **{

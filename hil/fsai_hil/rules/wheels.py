@@ -19,7 +19,7 @@ _CREEP_RPM: Final = 2 * n.STILL_RPM  # a reading under 10 rpm and a wheel that t
 
 
 class Belief(Enum):
-    """Whether a frame of 0x525 counts."""
+    """An answer to whether a frame of 0x525 counts."""
 
     YES = auto()
     OPEN = auto()
@@ -58,6 +58,7 @@ class Wheels:
     """Feed it with 0x525 and 0x526 in the order of time. `in_flight_ns`, `slack_ns`: see `checker.WireChecker`."""
 
     def __init__(self, pulses_per_rev: int, in_flight_ns: int = 0, slack_ns: int = 0) -> None:
+        """Begin with wheels of which nothing is known."""
         self.rpm: Rpm | None = None  # the last that surely counts
         self.believed_ns: int | None = None
         self.may_count_ns: int | None = None  # the last that may count
@@ -80,6 +81,7 @@ class Wheels:
     # ------------------------------------------------------------ frames
 
     def on_counts(self, counts: Rpm, t_ns: int) -> None:
+        """Compare the pulses since the last 0x526 with the speeds that came meanwhile."""
         before, before_ns = self._counts, self._counts_ns
         self._counts, self._counts_ns = counts, t_ns
         if before is None:
@@ -113,6 +115,7 @@ class Wheels:
                     self._turnings.popleft()
 
     def _compare(self, wheel: int, step: int, least_rpm: int, most_rpm: int, dt_s: float) -> None:
+        """Add up by how much a wheel's pulses are ahead of its speeds, and doubt it where that is too much."""
         ahead = self._ahead[wheel]
         if most_rpm < n.STILL_RPM:
             ahead = max(0.0, max(0.0, ahead) + step / self._pulses_per_rev - _CREEP_RPM / 60.0 * dt_s)
@@ -133,6 +136,7 @@ class Wheels:
             self._doubt[wheel] = Belief.OPEN
 
     def on_speeds(self, rpm: Rpm, t_ns: int) -> Belief:
+        """Take the wheel speeds of a 0x525; return whether they count."""
         belief = self._belief(rpm, t_ns)
         if max(rpm) <= n.SPEED_MOST_RPM:
             if self._counts is None:
@@ -153,6 +157,7 @@ class Wheels:
         return belief
 
     def _belief(self, rpm: Rpm, t_ns: int) -> Belief:
+        """Return whether these speeds count, by their size, the pulses and their change."""
         if max(rpm) > n.SPEED_MOST_RPM:
             return Belief.NO
         worst = Belief.YES
@@ -184,11 +189,11 @@ class Wheels:
         return turning_ns is not None and now_ns - turning_ns < n.COUNTED_NS - self._slack_ns
 
     def may_stand(self, now_ns: int) -> bool:
-        """Whether a careful reader may take the car to stand (safety rule 3)."""
+        """Return whether a careful reader may take the car to stand (safety rule 3)."""
         return self._perhaps.proven(now_ns, self._in_flight_ns, self._slack_ns) and not self.counting(now_ns)
 
     def surely_stand(self, now_ns: int) -> bool:
-        """Whether every reader knows that it does."""
+        """Return whether every reader knows that it does."""
         return self._surely.proven(now_ns, 0, 0) and not self.counting(now_ns)
 
     # ------------------------------------------------------------ as a value

@@ -35,6 +35,7 @@ class OnboardComputer:
     """Everything that runs on the AI computer, driven from outside by frames, cones and the passing of time."""
 
     def __init__(self, bridge: Bridge, codec: Codec, planner: Planner, controller: Controller, now_ns: int) -> None:
+        """Begin with all processes running, nothing received and no fault."""
         self.bridge = bridge
         self.planner = planner
         self.controller = controller
@@ -124,7 +125,7 @@ class OnboardComputer:
         self._turn(now_ns)
 
     def _turn(self, now_ns: int) -> None:
-        """What the loop does at this instant."""
+        """Do what the loop does at this instant."""
         if self.bridge_running and self._hung_until_ns is None:
             if not self.edge_running:
                 self._turns.on_edge(None, now_ns)
@@ -170,7 +171,7 @@ class OnboardComputer:
             setattr(self, f"{process}_running", False)
 
     def due_ns(self) -> int:
-        """When the bridge next has something to send, as things stand."""
+        """Return when the bridge next has something to send, as things stand."""
         return self._turns.due_ns()
 
     def hang_bridge(self, until_ns: int) -> None:
@@ -229,7 +230,7 @@ class OnboardComputer:
         self._run_ids.pop(process, None)
 
     def _begin(self, process: str, run: Run, now_ns: int) -> bool:
-        """Whether this run is a new one to a process, which begins it then."""
+        """Return whether this run is a new one to a process, which begins it then."""
         if self._run_ids.get(process) == run.run_id:
             return False
         getattr(self, process).reset(run)
@@ -258,6 +259,7 @@ class OnboardComputer:
         self._history.add(report.motion)
 
     def _command(self, report: BridgeReport, now_ns: int) -> None:
+        """Let the controller make its command, and hand it to the loop."""
         if not self.controller_running:
             return
         self._begin("controller", report.run, now_ns)

@@ -28,6 +28,7 @@ class AiLink:
     """
 
     def __init__(self, profile: Profile) -> None:
+        """Begin as a VCU that has received nothing."""
         self._profile = profile
         self._takes_any = profile.echo_timeout_ns is None
         self.bit = False
@@ -76,7 +77,7 @@ class AiLink:
         return bool(self._received_ns)
 
     def missing(self, message: type, now_ns: int) -> bool:
-        """That message has failed to come ten times in a row."""
+        """Return whether that message has failed to come ten times in a row."""
         return self.received and now_ns - self._received_ns[message] >= COMMS_LOST_NS
 
     def echo_missing(self, now_ns: int) -> bool:

@@ -42,7 +42,7 @@ PROGRESS: Final = 10  # lines while it renders
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the AI computer made of one look of the sensor, in the world."""
+    """A view of the AI computer on one look of the sensor, in the world."""
 
     t_s: float
     cones_m: Floats
@@ -138,6 +138,7 @@ def _save_gif(path: Path, frames: Iterator[Image], palette: Image) -> None:
 
 
 def _save_mp4(path: Path, frames: Iterator[Image], size: tuple[int, int]) -> None:
+    """Pipe the frames through ffmpeg into a film."""
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", str(FRAMES_PER_S), "-i", "-"]
     target = ["-c:v", "libx264", "-crf", "26", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
     argv = [_ffmpeg() or "ffmpeg", "-y", "-loglevel", "error", *source, *target]
@@ -159,6 +160,7 @@ class _Stage:
     """The figure of all frames: the whole track, and the car from near."""
 
     def __init__(self, run: Run, views: list[View]) -> None:
+        """Draw what does not move, and keep the parts that do."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import PolyCollection
         from matplotlib.figure import Figure

@@ -24,7 +24,7 @@ from fsai_vcu.interface.values import Value
 
 
 class Situation(Struct):
-    """What the state machine sees at one instant. The defaults are a car at rest with everything switched off."""
+    """The inputs of the state machine at one instant. The defaults are a car at rest with everything switched off."""
 
     # people
     asms: bool = False

@@ -57,7 +57,7 @@ ORIGIN_LONGITUDE_DEG: Final = -1.0174
 
 
 class Pose(Value, frozen=True):
-    """Where the rear axle's centre is in the world, and where the car points."""
+    """The place of the rear axle's centre in the world, and the direction in which the car points."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -69,7 +69,7 @@ class Pose(Value, frozen=True):
         return self.x_m + distance_m * c - left_m * s, self.y_m + distance_m * s + left_m * c
 
     def seen(self, x_m: Coordinate, y_m: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """How far ahead of it (negative: behind) and to its left world points lie."""
+        """Return how far ahead of it (negative: behind) and to its left world points lie."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
         return dx * c + dy * s, dy * c - dx * s
@@ -109,7 +109,7 @@ class _DeadTime:
 
 @dataclass(slots=True)
 class _Axle:
-    """What an axle has of its own."""
+    """The figures that each axle has of its own."""
 
     driven: bool
     weight_n: float
@@ -128,6 +128,7 @@ class Car:
     def __init__(
         self, facts: VehicleParameters, pose: Pose | None = None, now_ns: int = 0, wheels_in_air: bool = False
     ) -> None:
+        """Place a car at rest, at the origin unless a pose is given."""
         self.t_ns = now_ns
         self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
         self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
@@ -184,6 +185,7 @@ class Car:
         return CarTruth(self.t_ns, self.pose, self._vx, self._yaw_rate, self._road_deg, self._rpm, self._distance)
 
     def feedback(self) -> CarFeedback:
+        """Return what the car's sensors read now."""
         per_rev = self.facts.wheel_pulses_per_rev
         rpm = self._rpm
         if self._stopped_ns is not None and self.t_ns - self._stopped_ns < RPM_REST_NS:
@@ -247,6 +249,7 @@ class Car:
         return limited * max(-1.0, share)
 
     def _substep(self, dt: float, order: Actuation) -> None:
+        """Move the car by one short step under an order: steering, brakes, tyres, wheels, pose."""
         f = self.facts
         now = self.t_ns
 
@@ -385,7 +388,7 @@ class Car:
         )
 
     def _grip(self, axle: _Axle, load_n: float, asked_n: float, vx: float, dt: float) -> tuple[float, float]:
-        """What the tyres carry along, and what they could at most; what is left over spins or locks the wheels.
+        """Return what the tyres carry along, and what they could at most; the rest spins or locks the wheels.
 
         A driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip.
         """

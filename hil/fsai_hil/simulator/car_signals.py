@@ -7,7 +7,7 @@ from fsai_vcu.interface.values import Value
 
 
 class CarFeedback(Value, frozen=True):
-    """What the VCU's sensors, and the PCAN-GPS, read of the car at one instant."""
+    """The readings of the VCU's sensors, and of the PCAN-GPS, at one instant."""
 
     wheel_rpm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # FL FR RL RR, never negative
     pulses: tuple[int, int, int, int] = (0, 0, 0, 0)  # 16-bit counters that wrap
@@ -26,7 +26,7 @@ class CarFeedback(Value, frozen=True):
 
 
 class Actuation(Value, frozen=True):
-    """What the VCU orders from the car's actuators now."""
+    """The orders of the VCU to the car's actuators now."""
 
     steer_deg: float = 0.0
     front_torque_nm: float = 0.0

@@ -27,7 +27,7 @@ class FrameFault:
     ids: frozenset[int]
 
     def frames(self, frame: Frame) -> Iterable[Frame]:
-        """What arrives instead of `frame`; frames with a later `t_ns` arrive then."""
+        """Return what arrives instead of `frame`; frames with a later `t_ns` arrive then."""
         return self.met(frame) if not self.ids or frame.can_id in self.ids else (frame,)
 
     def met(self, frame: Frame) -> Iterable[Frame]:
@@ -155,7 +155,7 @@ class FaultyWire:
         self._waiting: list[Frame] = []
 
     def through(self, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
-        """What arrives up to `now_ns`, in the order of time, when `frames` are sent."""
+        """Return what arrives up to `now_ns`, in the order of time, when `frames` are sent."""
         under_way = list(frames)
         if not self.faults and not self._waiting:
             return under_way

@@ -55,7 +55,7 @@ LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is
 
 
 class JudgeVerdict(Value, frozen=True):
-    """What the judge reports at the end, or would report if the run ended now. Times in s since the world began."""
+    """The judge's report at the end, or as it would be if the run ended now. Times in s since the world began."""
 
     mission: str
     result: str  # 'pass' or 'fail'
@@ -144,7 +144,7 @@ class _Route:
         return begin + apart.index(min(apart))
 
     def follow(self, x: float, y: float) -> float:
-        """How far left of it the car is now."""
+        """Follow the car, and return how far left of the route it is now."""
         closed, count = self._closed, self._count
         if self._index is None or (closed and abs(self.lateral_m) > self.LOST_M):
             # found again: no progress is credited for the way here. An open route is entered at its first pass
@@ -221,7 +221,7 @@ class _Referee:
 
 
 class _TimedReferee(_Referee):
-    """Of a mission that is timed from a line on."""
+    """A referee of a mission that is timed from a line on."""
 
     LINE = "start"
     STOP_M: float  # how far beyond the finish line the car may stop
@@ -251,7 +251,7 @@ class _TimedReferee(_Referee):
         return [f"stopped {distance_m:.1f} m after the finish line, allowed are {self.STOP_M:g} m"]
 
     def _unfinished(self) -> str | None:
-        """What was not driven."""
+        """Say what was not driven."""
         raise NotImplementedError
 
 
@@ -343,7 +343,7 @@ class _CircuitReferee(_TimedReferee):
 
 
 class _StandReferee(_Referee):
-    """Of a mission that needs no track: how the car steers, moves, and turns its driven wheels."""
+    """A referee of a mission that needs no track: it looks how the car steers, moves, and turns its driven wheels."""
 
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
         super().__init__(track, car, laps)
@@ -357,7 +357,7 @@ class _StandReferee(_Referee):
         )
 
     def _seen(self) -> Floats:
-        """Of all looks: time, distance, speed, steering, rpm of the slowest driven wheel and of the fastest wheel."""
+        """Return all looks as columns: time, distance, speed, steering, rpm of slowest driven and fastest wheel."""
         return np.array(self._looks).reshape(-1, 6).T
 
 
@@ -378,6 +378,7 @@ def _too_slow(rpm: Floats, wanted_rpm: float) -> list[str]:
 
 class _InspectionAReferee(_StandReferee):
     def complaints(self) -> list[str]:
+        """Say what static inspection A asks for and was not seen: the sweep, the speed of the wheels, their times."""
         t_ns, _, _, steer_deg, rpm, fastest_rpm = self._seen()
         found = _swept_too_little(steer_deg, math.degrees(self.car.steer_max_rad) - SWEEP_TOLERANCE_DEG)
         if abs(steer_deg[-1]) > SWEEP_TOLERANCE_DEG:
@@ -405,6 +406,7 @@ class _DemoReferee(_StandReferee):
     """Sweep, accelerate, stop, accelerate: each step begins where the last one ended."""
 
     def complaints(self) -> list[str]:
+        """Say what the autonomous demonstration asks for and was not seen: the sweep, two drives, two stops."""
         _, at_m, speed_mps, steer_deg, _, _ = self._seen()
         known = np.flatnonzero((speed_mps > 0.2) | (speed_mps < 0.02))
         changes = known[np.flatnonzero(np.diff(speed_mps[known] > 0.2, prepend=False))]
@@ -428,7 +430,7 @@ class _DemoReferee(_StandReferee):
 
 
 class _Criteria(Value, frozen=True):
-    """How one mission is judged."""
+    """The criteria by which one mission is judged."""
 
     referee: type[_Referee]
     ends_in: AsState
@@ -545,6 +547,7 @@ class Judge:
             self._over_ns = now
 
     def _watch_stay(self, truth: CarTruth, state: AsState) -> None:
+        """Blame a car that moves where it must stay: before AS_DRIVING, in its first seconds, and after it."""
         if self._stay is None:
             return
         x_m, y_m, since_ns = self._stay
@@ -575,6 +578,7 @@ class Judge:
             self._still_ns = truth.t_ns
 
     def _watch_end(self, truth: CarTruth, state: AsState) -> None:
+        """End the run where it is over, has failed or takes too long."""
         now = truth.t_ns
         if self._driving_ns is None:
             if state is AsState.EMERGENCY_BRAKE:
@@ -631,15 +635,16 @@ class Judge:
 
     @property
     def left_course_m(self) -> list[tuple[float, float]]:
-        """Where the car left the track, in the world."""
+        """Return where the car left the track, in the world."""
         return self._surroundings.left_m
 
     @property
     def crossings_s(self) -> list[float]:
-        """When the car crossed a line that begins or ends a lap, as the verdict counts time."""
+        """Return when the car crossed a line that begins or ends a lap, as the verdict counts time."""
         return [(t_ns - self._epoch_ns) / S for t_ns in self._referee.crossings_ns]
 
     def _reasons_now(self) -> list[str]:
+        """Return the reasons to fail the run if it ended now."""
         found = list(self._reasons)
         if self._driving_ns is None:
             return found or ["never entered AS_DRIVING"]
@@ -657,6 +662,7 @@ class Judge:
         return found
 
     def verdict(self) -> JudgeVerdict:
+        """Return the verdict, as if the run ended now."""
         reasons = self._reasons_now()
         if not self.done:
             reasons.append("the run is not over")

@@ -30,7 +30,10 @@ ENDED: Final = frozenset({Assi.BLUE, Assi.BLUE_FLASHING, Assi.OFF})
 
 
 class Await(Value, frozen=True):
-    """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on unseen instead."""
+    """The condition that a script waits for: until `seen`, then `delay_ns` more.
+
+    Out of patience it goes on unseen instead.
+    """
 
     what: str
     seen: Callable[[SimulatedVcu], bool] = lambda car: True

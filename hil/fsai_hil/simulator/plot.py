@@ -149,6 +149,7 @@ def _draw_path(plan: Axes, run: Run) -> None:
 
 
 def _draw_over_time(speed: Axes, steering: Axes, pedals: Axes, run: Run) -> None:
+    """Draw speed, steering and pedals over time, asked for and given."""
     series = {name: np.array([getattr(s, name) for s in run.samples]) for name in PathSample.__struct_fields__}
     t_s, measured, wheels, limit = (series[name] for name in ("t_s", "speed_mps", "wheels_mps", "speed_limit_mps"))
     if np.abs(wheels - measured).max(initial=0.0) > 0.5:  # they spin, lock, or turn in the air

@@ -1,4 +1,4 @@
-"""How the car comes alive and goes to sleep: power-up by revision, tractive system and EBS.
+"""The power of the car: it comes alive and goes to sleep by revision, with its tractive system and EBS.
 
 The two subsystems are small machines over time: given what they need, they take a couple of seconds for each step.
 """
@@ -36,7 +36,7 @@ class SystemAction(IntEnum):
 
 
 class PowerUp(Value, frozen=True):
-    """What differs between the cars of two interface revisions while they are switched on and off."""
+    """The differences between the cars of two interface revisions while they are switched on and off."""
 
     first_state: AsState
     switches_on: tuple[str, ...]  # fields of Switches in the order of power-up; AIMS, if any, feeds the AI computer

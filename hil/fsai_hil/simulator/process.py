@@ -64,6 +64,7 @@ HELP: Final = f"""commands:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
     add_setup_arguments(parser, MISSION, "NAME[,NAME…]")
     add = parser.add_argument
     add_bus_argument(parser, "the bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)", "vcan0")
@@ -113,6 +114,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _setup(args: argparse.Namespace) -> WorldSetup:
+    """Return the world that the arguments ask for. Raises ValueError in words for the user."""
     if args.truth is not None and not 0 < args.truth < 65536:
         raise ValueError(f"--truth is {args.truth}, but a port is 1 to 65535")
     if args.timeout is not None and not 0.0 < args.timeout < float("inf"):
@@ -139,6 +141,7 @@ class VcuProcess:
     RECEIVES: Sequence[int] | None = AI_IDS  # None: all that is on the bus
 
     def __init__(self, world: World, bus: CanBus, args: argparse.Namespace) -> None:
+        """Begin with the world on an open bus; nothing has been sent."""
         self.world = world
         self._bus: CanBus | None = bus
         self._args = args
@@ -166,6 +169,7 @@ class VcuProcess:
     # ------------------------------------------------------------ the loop
 
     def loop(self) -> None:
+        """Drive the world in real time until it is done, its time is over or somebody interrupts."""
         world = self.world
         start = world.now_ns
         next_truth = next_progress = next_commands = start
@@ -232,6 +236,7 @@ class VcuProcess:
             self._lose(error)
 
     def _speak(self, now: int) -> None:
+        """Send what the car has to say by now, as far as the bus takes it."""
         for frame in self.world.advance(now):
             if self._log is not None:
                 self._log.write(replace(frame, t_ns=frame.t_ns + self.held_up_ns))
@@ -397,7 +402,7 @@ class VcuProcess:
 
 
 def result_of(process: VcuProcess) -> dict[str, Any]:
-    """What a program wants to know of the session."""
+    """Return the session's result as a program wants to read it."""
     world = process.world
     verdict, setup = world.verdict(), world.setup
     return {
@@ -430,6 +435,7 @@ def _passed(world: World) -> bool:
 
 
 def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
+    """Save, plot and print the result; return the exit status."""
     world, result, saved_all = process.world, result_of(process), True
     first = world.runs[0]
     if args.result:

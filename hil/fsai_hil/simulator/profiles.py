@@ -1,4 +1,4 @@
-"""How a VCU behaves: the specification's, and the official simulator's with its quirks.
+"""The profiles of a VCU: the specification's behaviour, and the official simulator's with its quirks.
 
 A profile is a list of named differences. The defaults are the interface specification's.
 """

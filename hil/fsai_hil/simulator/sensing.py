@@ -22,7 +22,7 @@ COLOURED: Final = np.array([ConeColor.BLUE, ConeColor.YELLOW, ConeColor.ORANGE, 
 
 
 class SensorSettings(Value, frozen=True):
-    """How good the sensor is. All imperfections scale with `noise_level`; 0 is a perfect sensor."""
+    """The quality of the sensor. All imperfections scale with `noise_level`; 0 is a perfect sensor."""
 
     range_m: float = 14.0
     blind_m: float = 0.6  # nothing is seen nearer than that

@@ -1,4 +1,4 @@
-"""What is driven and on which car, as it is typed: the arguments that all programs which drive one have."""
+"""The arguments that all programs have which drive a car: what is driven and on which car, as it is typed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people and faults do to the car's electrics: switches, buttons, parts that fail; and the ASSI.
+"""The car's electrics as people and faults change them: switches, buttons, parts that fail; and the ASSI.
 
 Source: the vehicle's interface specification v4.0.
 """
@@ -58,6 +58,8 @@ SWITCH_NAMES: Final = Switches.__struct_fields__
 
 
 class Assi(str, Enum):
+    """Lights of the autonomous system's status indicator (ASSI)."""
+
     OFF = "off"
     YELLOW = "yellow"
     YELLOW_AND_BLUE = "yellow+blue"

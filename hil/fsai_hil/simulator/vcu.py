@@ -125,6 +125,7 @@ class SimulatedVcu:
         gps_decimation: int = 1,
         log_decimation: int = 1,
     ) -> None:
+        """Begin without power. Raises ValueError for a revision or a decimation that cannot be simulated."""
         if revision.name not in POWER_UP:
             raise ValueError(f"no power-up is known for revision {revision.name!r}: only for {', '.join(POWER_UP)}")
         if gps_decimation < 1 or log_decimation < 1:
@@ -202,7 +203,7 @@ class SimulatedVcu:
         return self.outgoing.through(sent, now_ns)
 
     def next_due_ns(self) -> int:
-        """When the next frame is due; a millisecond from now while the VCU has no power."""
+        """Return when the next frame is due; a millisecond from now while the VCU has no power."""
         return self._due[0][0] if self.powered else self._now_ns + MS
 
     def _begin(self, now_ns: int) -> None:
@@ -285,6 +286,7 @@ class SimulatedVcu:
             self._take(row, now_ns)
 
     def _take(self, row: Row, now_ns: int) -> None:
+        """Take a transition: latch its fault, and enter its target."""
         if row.fault is not None:
             self._latched.add(row.fault.name)
             self.shutdown_cause = row.fault.cause
@@ -523,6 +525,7 @@ class SimulatedVcu:
         return [Frame(REMOTE.can_id, bytes((pressed, 0, 0, 0, 0, 0, strength_pct, 0)), t_ns)]
 
     def _status_image(self, t_ns: int) -> VcuStatus:
+        """Return the 0x520 of now."""
         s, profile = self.switches, self.profile
         shutting_down = self._shutdown_since_ns is not None
         hidden = profile.as_state_zero_without_asms and not s.asms
@@ -601,6 +604,7 @@ class SimulatedVcu:
         return WheelSpeeds(*[round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm], t_ns)
 
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
+        """Return the system status of now."""
         link = self._link
         # the AI computer's faults do not stop the car outside AS_DRIVING: there they are warnings
         warned = {fault.name: fault.when(self._situation) for fault in self._ai_faults}
@@ -643,6 +647,7 @@ class SimulatedVcu:
         )
 
     def _log_status_image(self, t_ns: int) -> LogStatus:
+        """Return the logging frame of the status as it is now."""
         status = self._link.status
         braking = max(self._feedback.front_brake_pct, self._feedback.rear_brake_pct) > 0.0
         ready = self._brake_status(t_ns) is BrakeStatus.READY
@@ -692,6 +697,6 @@ def _shown(faults: frozenset[str]) -> Faults:
 
 
 def _torque_pct(torques: CarFeedback | Actuation) -> int:
-    """Of the axle with more of it."""
+    """Return the torque of the axle with more of it, in percent."""
     most_nm = max(abs(torques.front_torque_nm), abs(torques.rear_torque_nm))
     return round(min(100.0, 100.0 * most_nm / AXLE_TORQUE_MAX_NM))

@@ -38,7 +38,7 @@ STATIC_INSPECTIONS: Final = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPE
 
 
 class WorldSetup(Value, frozen=True, kw_only=True):
-    """What a world is made of. The defaults drive one mission on its own built-in track, by themselves.
+    """The parts that a world is made of. The defaults drive one mission on its own built-in track, by themselves.
 
     `missions` are driven one after another without a restart of anything; the first decides what `track` must be, and
     a mission that cannot be driven on it gets its own built-in one. Names are checked by `World`.
@@ -96,6 +96,7 @@ class World:
     """
 
     def __init__(self, setup: WorldSetup) -> None:
+        """Build the world of a setup, with the car at the start. Raises ValueError for one that cannot be built."""
         if not setup.missions:
             raise ValueError("no mission to drive")
         if setup.laps is not None and setup.laps < 1:
@@ -177,6 +178,7 @@ class World:
         self._follow_display(state)
 
     def _sample(self, now: int, car: CarTruth, state: AsState) -> PathSample:
+        """Return one point of the path that is kept: pose, speed, and what was asked for."""
         pose, facts, order = car.pose, self.car.facts, self.vcu.actuation
         motor_rpm = max(order.front_motor_speed_max_rpm, order.rear_motor_speed_max_rpm)
         brake_pct = max(order.front_brake_pct, order.rear_brake_pct)
@@ -206,6 +208,7 @@ class World:
             self.run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
 
     def _stage(self, mission: Ami) -> Run:
+        """Stage a mission: its track, judge and sensor, and the car at its place."""
         track = self._first_track
         again = bool(self.runs)
         if again and (mission not in MISSION_TRACK or check_track(track, mission) is not None):
@@ -224,17 +227,18 @@ class World:
     # ------------------------------------------------------------ what can be seen
 
     def next_due_ns(self) -> int:
-        """When the car next has something to say or to do, as things stand: advance at the latest then."""
+        """Return when the car next has something to say or to do, as things stand: advance at the latest then."""
         due_ns = min(self.vcu.next_due_ns(), self._next_look_ns)
         steps = max(1, -((self.now_ns - due_ns) // STEP_NS))
         return self.now_ns + steps * STEP_NS
 
     def see_cones(self, t_ns: int) -> ConeObservation:
-        """What the cone sensor reports of the present instant: raw, noisy, in the vehicle frame, stamped `t_ns`."""
+        """Return what the cone sensor reports of now: raw, noisy, in the vehicle frame, stamped `t_ns`."""
         return self.run.sensor.see(self.car.pose, t_ns)
 
     @property
     def truth(self) -> Truth:
+        """Return the true state of the car now, as it is sent to sensors."""
         car = self.car.truth()
         return Truth(
             t_ns=car.t_ns,
@@ -263,7 +267,7 @@ class World:
         return self.run.judge.verdict()
 
     def handshake(self) -> dict[str, Any]:
-        """How fast the AI computer echoed the handshake, as scrutineering measures it."""
+        """Return how fast the AI computer echoed the handshake, as scrutineering measures it."""
         times = ResponseTimes(self.vcu.response_times_ns).as_dict()
         found = {"echoes": times["count"], "median_ms": times["p50_ms"]}
         found |= {name: times[name] for name in ("p99_ms", "p999_ms", "max_ms")}

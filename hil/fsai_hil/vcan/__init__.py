@@ -23,7 +23,7 @@ __all__ = ["INTERFACE", "VcanError", "VcanHost", "choose_place", "native_vcan_av
 
 @dataclass(frozen=True)
 class VcanHost:
-    """Where a command meets its vcan0: `run` has the signature of `run_natively` and `run_in_uml`."""
+    """The place where a command meets its vcan0: `run` has the signature of `run_natively` and `run_in_uml`."""
 
     name: Literal["native", "uml"]
     why: str
@@ -31,7 +31,7 @@ class VcanHost:
 
     @property
     def has_pace(self) -> bool:
-        """Whether `run` takes `pace`: a clock inside that goes slower than the machine's."""
+        """Return whether `run` takes `pace`: a clock inside that goes slower than the machine's."""
         return self.name == "uml"
 
 

@@ -53,6 +53,8 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 @dataclass(frozen=True)
 class UserModeLinux:
+    """An installed User-Mode Linux."""
+
     kernel: Path
     version: str
 
@@ -149,7 +151,7 @@ def _has_room(folder: Path, mib: int) -> bool:
 
 
 def _hidden(paths: Iterable[Path]) -> list[Path]:
-    """Those of the folders that the inside would not see, because memory is mounted above them; outer ones first."""
+    """Return the folders that the inside would not see, because memory is mounted above them; outer ones first."""
     hidden: list[Path] = []
     for path in sorted(path.resolve() for path in paths):
         under_memory = any(path.is_relative_to(root) and path != Path(root) for root in _IN_MEMORY)
@@ -166,6 +168,8 @@ def _first_process(
     exchange: Path,
     needed: Sequence[Path],
 ) -> list[str]:
+    """Return the script of the first process inside: it mounts what is needed, and runs the command."""
+
     def folder(path: Path, options: str, behind: Path | None = None) -> list[str]:
         # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
         return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(behind or path)} none {_q(path)}"]
@@ -314,7 +318,7 @@ def processor_of_its_own() -> Iterator[int]:
 
 
 def _memory_folder(memory_mib: int) -> Path:
-    """Where the file behind the machine's memory fits and may be mapped executable; memory rather than disk."""
+    """Return where the file behind the machine's memory fits and may be mapped executable; memory rather than disk."""
     for folder in (_SHARED_MEMORY, Path(tempfile.gettempdir()), Path("/var/tmp")):
         if _has_room(folder, memory_mib) and not os.statvfs(folder).f_flag & os.ST_NOEXEC:
             return folder

@@ -89,7 +89,7 @@ class Case(Value, frozen=True):
 
     @property
     def world(self) -> tuple[Ami, str, int, bool]:
-        """What decides the run before the fault."""
+        """Return what decides the run before the fault."""
         return self.mission, self.revision, self.seed, self.kind.gps
 
     @property
@@ -101,7 +101,7 @@ class Case(Value, frozen=True):
 
     @property
     def spec(self) -> str:
-        """What `--fault` takes."""
+        """Return the case as `--fault` takes it."""
         values = {"since": self.since.value, "after": self.after_ms, **self.params}
         return f"{self.fault}:" + ",".join(f"{name}={value}" for name, value in values.items())
 

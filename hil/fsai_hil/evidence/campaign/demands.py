@@ -1,4 +1,4 @@
-"""What the safety rules demand when something breaks, as an observer outside can check it.
+"""The demands of the safety rules when something breaks, as an observer outside can check them.
 
 Times are milliseconds from the fault (or from the moment at which it shows), as the table of graded reactions gives
 them; what an observer may measure on top of them is `SLACK_MS`.
@@ -37,7 +37,7 @@ PLAN_MS: Final = 90  # cones come every 50 ms, and are planned with after 40 ms
 
 
 class End(Enum):
-    """How a run ends, seen from outside, in the words of the tables."""
+    """The end of a run, seen from outside, in the words of the tables."""
 
     ON = "drives on"
     HELD = "stays in AS_DRIVING, torque 0"
@@ -59,7 +59,7 @@ class Onset(Enum):
 
 
 class Demand(Value, frozen=True):
-    """What must follow. A time of None is not limited by the rules.
+    """The reaction that must follow a fault. A time of None is not limited by the rules.
 
     `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (to the end where the run must
     end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so;
@@ -83,7 +83,7 @@ class Demand(Value, frozen=True):
 
     @property
     def words(self) -> str:
-        """Which ends are allowed."""
+        """Name the ends that are allowed."""
         if self.ends == SAFE_ENDS:
             return "drives on, or stands in the end"
         return " or ".join(end.value.partition(",")[0] for end in End if end in self.ends)
@@ -145,8 +145,10 @@ def implausible(
 
 
 class Graded(Value, frozen=True):
-    """What the age demands that the parameter `of` makes of a message: from each of `steps` (age in ms) on another;
-    below the first, nothing."""
+    """The demand by a message's age, which the parameter `of` gives: another from each of `steps` (age in ms) on.
+
+    Below the first step nothing is demanded.
+    """
 
     steps: tuple[tuple[float, Demand], ...] = ()
     of: str = "duration"
@@ -161,7 +163,7 @@ class Graded(Value, frozen=True):
 
 
 class Computed(Value, frozen=True):
-    """What a kind of fault demands as a function of what was drawn, and that in words."""
+    """The demand of a kind of fault as a function of what was drawn, and that in words."""
 
     demanded: str
     demand: Callable[[Params], Demand]

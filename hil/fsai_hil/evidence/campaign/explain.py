@@ -32,6 +32,7 @@ class ScenarioNarrator:
         self._change(rig.now_ns, "standing", f"the car {'stands' if rig.world.car.standing else 'moves'}", quiet=True)
 
     def _follow(self, now_ns: int, report: BridgeReport) -> None:
+        """Note what has changed in the bridge's report since the last look."""
         reasons = frozenset(report.reasons)
         for slug in sorted(reasons - self._reasons):
             detail = report.reason_details.get(slug)
@@ -67,7 +68,7 @@ class ScenarioNarrator:
         return [(t_ns, text) for t_ns, text in found if t_ns is not None]
 
     def lines(self, verdict: CaseVerdict) -> list[str]:
-        """What happened from shortly before the fault on, and the verdict."""
+        """Return what happened from shortly before the fault on, and the verdict."""
         zero_ns = self.scenario.fault_ns or 0
         lines = []
         pedals = 0

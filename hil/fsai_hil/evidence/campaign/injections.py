@@ -1,4 +1,4 @@
-"""How each fault is done to a run in lockstep: on the wire, to sensors, actuators, people, or the AI computer itself.
+"""The injections do each fault to a run in lockstep: on the wire, to sensors, actuators, people, or the AI computer.
 
 An `Injection` takes the fault, the run, the drawn parameters and the instant: it begins the fault, and notes in it how
 it goes on and ends. What a fault draws by chance comes from its own `chance`, so that a case is the same wherever it
@@ -119,7 +119,7 @@ def _mask(p: Params) -> bytes:
 
 
 def _impossible_speeds(ids: Ids, p: Params) -> FrameFault:
-    """What no wheel of this car can turn at, on one wheel or on all: more than the signal database allows."""
+    """Report speeds that no wheel of this car can turn at, on one wheel or on all."""
     raw = struct.pack("<H", int(p["rpm"]))
     at, data = (0, raw * 4) if p["wheel"] == "all" else (2 * WHEELS.index(p["wheel"]), raw)
     return Overwrite(ids, at, data)
@@ -304,7 +304,7 @@ def _slow(value: float, before: float, at: At, *, falls: bool = False) -> float:
 
 
 def _fields(how: str, names: tuple[str, ...], before: object, p: Params, now_ns: int) -> Callable[[Any, int], Any]:
-    """What `how` makes of fields; of four wheels of the one that a parameter `wheel` names, or of all."""
+    """Return what `how` makes of fields; of four wheels it changes the one that a parameter `wheel` names, or all."""
     change, rng, kept = CHANGES[how], random.Random(p["chance"]), {name: dict[str, Any]() for name in names}
     chosen = [p.get("wheel", wheel) == wheel for wheel in WHEELS]
 
@@ -323,7 +323,7 @@ def _fields(how: str, names: tuple[str, ...], before: object, p: Params, now_ns:
 
 
 def reading(how: str, *names: str) -> Injection:
-    """What the car's sensors read, by their fields."""
+    """Change what the car's sensors read, by their fields."""
 
     def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         fault.listed(rig.world.sensor_faults, _fields(how, names, rig.world.car.feedback(), p, now_ns))
@@ -332,7 +332,7 @@ def reading(how: str, *names: str) -> Injection:
 
 
 def ordered(how: str, *names: str) -> Injection:
-    """What reaches actuators of their orders, by their fields; the EBS has its own way to the brakes."""
+    """Change the orders that reach actuators, by their fields; the EBS has its own way to the brakes."""
 
     def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         before = replace(rig.world.vcu.actuation, steer_deg=rig.world.car.truth().steer_deg)
@@ -393,7 +393,7 @@ def hasty_go(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
 
 
 def _filtered(name: str, change: Callable[[Any, At], Any]) -> Injection:
-    """What a filter of the AI computer makes of what passes it; None takes its place."""
+    """Put a filter of the AI computer over what passes it; None takes its place."""
     return lambda fault, rig, p, now_ns: fault.put(rig.computer, name, _filter(change, p, now_ns))
 
 
@@ -474,7 +474,7 @@ def insisting_operator(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) ->
 
 
 def plans(change: Callable[[Plan, At], Plan | None]) -> Injection:
-    """What becomes of the planner's plans on their way."""
+    """Change the planner's plans on their way."""
     return _filtered("plan_filter", lambda plan, at: None if plan is None else change(plan, at))
 
 
@@ -504,7 +504,7 @@ def swinging_plan(plan: Plan, at: At) -> Plan:
 
 
 def cones(change: Callable[[ConeObservation, At], ConeObservation]) -> Injection:
-    """What the detector makes of what it sees."""
+    """Change what the detector makes of what it sees."""
 
     def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         detector = _filter(change, p, now_ns)

@@ -1,4 +1,4 @@
-"""What was seen of a run from outside: the frames on the bus, the car's true motion, its AS states.
+"""The observation of a run from outside: the frames on the bus, the car's true motion, its AS states.
 
 Nothing of the bridge is looked at. Of the AI computer's inside only one thing is noted: whether the controller reports
 by itself that the mission is over, for then a stop is no reaction.
@@ -67,7 +67,7 @@ class Observation:
         return next((state for since_ns, state in reversed(self.states) if since_ns <= t_ns), self.states[0][1])
 
     def entered(self, state: AsState, after_ns: int) -> int | None:
-        """When `state` was first entered after a time."""
+        """Return when `state` was first entered after a time."""
         return next((t_ns for t_ns, one in self.states if one is state and t_ns > after_ns), None)
 
     def resting_since(self) -> int | None:
@@ -89,6 +89,7 @@ class Observer:
         rig.watch = self._on_frame
 
     def _on_frame(self, frame: Frame) -> None:
+        """Note the command cycles, requests and measurements that a frame carries."""
         can_id = frame.can_id
         if not (0x510 <= can_id <= 0x514 or can_id in (0x523, 0x525, 0x526)) or frame.extended or frame.error:
             return
@@ -145,7 +146,7 @@ Streak = tuple[int, int]
 
 
 def steering_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
-    """When, in AS_DRIVING, the measured angle was certainly not where the requests can have brought it."""
+    """Return when, in AS_DRIVING, the measured angle was certainly not where the requests can have brought it."""
     streaks: list[Streak] = []
     slow = fast = None
     target = 0.0
@@ -170,7 +171,7 @@ def steering_streaks(seen: Observation, car: VehicleParameters, from_ns: int) ->
 
 
 def wheel_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
-    """When one wheel was certainly off the other three, and neither wheelspin nor locking could explain it."""
+    """Return when one wheel was certainly off the other three, and neither wheelspin nor locking could explain it."""
     driven = (car.driven_front, car.driven_front, car.driven_rear, car.driven_rear)
     odd: dict[tuple[int, bool], list[Streak]] = {}
     angles = iter(seen.angles)
@@ -204,7 +205,7 @@ def wheel_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> li
 
 
 def count_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
-    """When, in AS_DRIVING, wheel speeds came that certainly may not be believed."""
+    """Return when, in AS_DRIVING, wheel speeds came that certainly may not be believed."""
     wheels = Wheels(car.wheel_pulses_per_rev)
     streaks: list[Streak] = []
     frames = [(t_ns, 0, rpm) for t_ns, rpm in seen.wheels] + [(t_ns, 1, counts) for t_ns, counts in seen.counts]
@@ -221,7 +222,7 @@ def count_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> li
 
 
 def _factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:
-    """How fast each wheel rolls on its own circle, against the middle of the rear axle."""
+    """Return by how much faster each wheel rolls on its own circle than the middle of the rear axle."""
     curvature = math.tan(math.radians(steer_deg)) / car.wheelbase_m
     left, right = 1.0 - curvature * car.track_m / 2.0, 1.0 + curvature * car.track_m / 2.0
     ahead = curvature * car.wheelbase_m

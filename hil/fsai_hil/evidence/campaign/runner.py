@@ -39,7 +39,7 @@ def header_of(plan: CampaignPlan) -> Header:
 
 
 SNAPSHOTS: Final = Snapshots()
-"""Of this process, kept between batches."""
+"""The snapshots of this process, kept between batches."""
 
 
 def drive_batch(plan: CampaignPlan, tasks: Sequence[Task]) -> list[dict[str, Any]]:

@@ -76,7 +76,7 @@ def drive_to(rig: Lockstep, leg_ms: int) -> None:
 
 
 def moment_ns(rig: Lockstep, since: Since) -> int | None:
-    """When a moment of the run was; None: not yet."""
+    """Return when a moment of the run was; None: not yet."""
     if since.state is None:
         return rig.world.setup.start_ns
     ended = ENDED if since is Since.FINISHED else (since.state,)
@@ -123,6 +123,7 @@ class Scenario:
 
     @property
     def over(self) -> bool:
+        """Return whether the run has shown all it can: it ended, lasted long enough, or no fault can follow."""
         now_ns = self.rig.now_ns
         lasted_ms = (now_ns - self._began_ns) / MS
         if lasted_ms >= self._longest_ms:

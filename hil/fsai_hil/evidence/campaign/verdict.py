@@ -123,7 +123,7 @@ def judge(
 
 
 def _onset_ns(streaks: Sequence[Streak], reaction_ns: int | None) -> int | None:
-    """Where the streak began that the reaction answers; None: it came before anything was sure."""
+    """Return where the streak began that the reaction answers; None: it came before anything was sure."""
     if reaction_ns is None:
         return None
     before = [start for start, end in streaks if start <= reaction_ns <= end + IMPLAUSIBLE_LOST_MS * MS]
@@ -135,6 +135,7 @@ def _ms(t_ns: int | None, onset_ns: int | None) -> float | None:
 
 
 def _since(seen: Observation, fault_ns: int) -> _Seen:
+    """Gather what was seen from the fault on."""
     after = seen.cycles_after(fault_ns)
     estop_ns = next((cycle.t_ns for cycle in after if cycle.estop), None)
     emergency_ns = seen.entered(AsState.EMERGENCY_BRAKE, fault_ns - 1)
@@ -155,7 +156,7 @@ def _since(seen: Observation, fault_ns: int) -> _Seen:
 
 
 def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) -> End:
-    """How the run ended; `over_ns`: when the controller reported by itself that the mission is over."""
+    """Return how the run ended; `over_ns`: when the controller reported by itself that the mission is over."""
     last = seen.states[-1][1]
     over = over_ns is not None
     idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
@@ -184,7 +185,7 @@ def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) ->
 
 
 def _by(t_ns: int | None, other_ns: int | None) -> bool:
-    """Whether both happened, the first no later than the other."""
+    """Return whether both happened, the first no later than the other."""
     return t_ns is not None and other_ns is not None and t_ns <= other_ns
 
 
@@ -219,6 +220,7 @@ def _over(over_ns: int | None, demand: Demand, fault_ns: int) -> bool:
 def _too_late(
     case: Case, seen: Observation, found: _Seen, demand: Demand, end: End, fault_ns: int, safe_ns: int | None
 ) -> list[str]:
+    """Say what the demand asks for by a time and did not come by then."""
     wrong = []
     if demand.no_torque_ms is not None:
         from_ns = fault_ns + round(demand.no_torque_ms * MS)

@@ -96,7 +96,7 @@ def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Names
 
 
 def _try(baseline: trial.Baseline, chosen: list[Mutant], listed: set[Key], jobs: int, digest: str) -> list[Result]:
-    """Whether each mutant survives, on disk line by line: a run of the same sources goes on where one was stopped."""
+    """Try each mutant; keep on disk, line by line, whether it survives: a later run goes on where one was stopped."""
     with Record(RECORD, {"digest": digest}) as record:
         tried = {tuple(key) for key, _ in record.results}
         waiting = [mutant for mutant in chosen if mutant.key not in tried]
@@ -113,6 +113,7 @@ def _try(baseline: trial.Baseline, chosen: list[Mutant], listed: set[Key], jobs:
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Try the chosen mutants, print the survivors and write the document; return the exit status."""
     digest, listed, mutants = _digest(), load(), trial.mutants()
     trial.prepare()
     gone = listed - {mutant.key for mutant in mutants}
@@ -146,6 +147,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Mutate as the arguments ask; return the exit status."""
     name = "python -m fsai_hil.evidence.mutation"
     example = f"example: {name} --only gate._steering --jobs 1"
     parser = argparse.ArgumentParser(prog=name, description=__doc__, epilog=example, allow_abbrev=False)

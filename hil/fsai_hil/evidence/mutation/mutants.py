@@ -19,8 +19,8 @@ from typing import Any, Final
 from fsai_vcu.interface.values import Value
 
 Key = tuple[str, str, str, int]
-"""What stays the same when lines above a mutant come and go: the module's last name and the function or class it is in,
-what stands there, what stands there then, and the how manieth it is of those with the same words in the same place."""
+"""A mutant's name, which stays the same when lines above it come and go: the module's last name with the function or
+class, the code there, the code that takes its place, and its number among those alike in the same function or class."""
 
 Mistake = tuple[str, ast.AST]  # its kind, and what stands in the node's place then
 
@@ -58,7 +58,7 @@ class Mutant(Value, frozen=True):
 
 
 def _children(node: Any) -> Iterator[tuple[str, Any, int | str, Any]]:
-    """What may be mistaken below it: each with its field, and where it stands. A function's defaults come first."""
+    """Yield what may be mistaken below it: each with its field and place. A function's defaults come first."""
     if isinstance(node, ast.FunctionDef):
         yield from (child for child in _children(node.args) if child[0] in ("defaults", "kw_defaults"))
     alone = _FIELDS_LEFT_ALONE - {"args"} if isinstance(node, ast.Call) else _FIELDS_LEFT_ALONE
@@ -75,7 +75,7 @@ def _text(statement: ast.AST) -> str:
 
 
 def _about(minus: str, plus: str) -> tuple[str, str]:
-    """Of two long texts, what stands about the first difference."""
+    """Return what stands about the first difference of two long texts."""
     differ = (place for place, (old, new) in enumerate(zip(minus, plus, strict=False)) if old != new)
     first = max(0, next(differ, 0) - _SHOWN // 3) if len(minus) > _SHOWN else 0
     return minus[first : first + _SHOWN], plus[first : first + _SHOWN]
@@ -130,6 +130,7 @@ class Walk:
     # ------------------------------------------------------------ mistakes
 
     def _mistakes(self, node: Any, parent: Any, field: str) -> Iterator[Mistake]:
+        """Yield the mistakes that a person could make at a node, by kind."""
         returns = ast.unparse(self._function.returns) if self._function and self._function.returns else ""
         returned = isinstance(parent, ast.Return)
         condition = isinstance(node, ast.Compare | ast.BoolOp) or (returned and returns == "bool")
@@ -189,6 +190,7 @@ def _member(node: ast.Attribute, owner: Any, name: str) -> Iterator[Mistake]:
 
 
 def _call(node: ast.Call) -> Iterator[Mistake]:
+    """Yield the mistakes in a call: another function, another argument, one left out."""
     attribute = "id" if isinstance(node.func, ast.Name) else "attr"
     name = getattr(node.func, attribute, "")
     args = node.args

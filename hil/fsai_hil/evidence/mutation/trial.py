@@ -33,10 +33,10 @@ MODULES: Final = {
     f"fsai_vcu.core.supervision.{name}": CORE / "supervision" / f"{name}.py"
     for name in ("supervisor", "gate", "plausibility", "readiness", "start_conditions", "wheel_speeds", "changes")
 }
-"""What is mutated."""
+"""The modules that are mutated."""
 
 COVERED: Final = ("supervision/*.py", "bridge.py", "bridge_state.py", "tally.py", "limits.py")
-"""What the killers must reach in every branch."""
+"""The modules whose every branch the killers must reach."""
 
 _TESTED: Final = "supervisor gate supervision_plausibility supervision_readiness wheel_speeds supervision_changes"
 KILLERS: Final = tuple(f"tests/core/test_{name}.py" for name in (*_TESTED.split(), "limits", "bridge"))
@@ -101,6 +101,8 @@ def measure() -> Baseline:
     seconds, printed, table = Counter[str](), io.StringIO(), io.StringIO()
 
     class Watch:
+        """Observer of the tests: which one runs, and how long each takes."""
+
         def pytest_runtest_logstart(self, nodeid: str) -> None:
             measured.switch_context(nodeid)
 

@@ -52,6 +52,7 @@ TTYPath=/dev/tty1"""
 
 
 def main() -> int:
+    """Build the package, boot the machine and play the rehearsal in it; return the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.rehearsal.carpc",
         description=__doc__.splitlines()[0],
@@ -133,7 +134,7 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
 
 
 def install_car(*words: str | Path, **variables: Path) -> None:
-    """What is up to date is left alone. Raises VcanError."""
+    """Install the car's software; parts that are up to date are left alone. Raises VcanError."""
     environment = {**os.environ, **{name: str(path) for name, path in variables.items()}}
     done = subprocess.run([CHECKOUT / "scripts" / "install-car", *words], env=environment, check=False)
     if done.returncode != 0:
@@ -161,7 +162,7 @@ def unpack(package: Path, root: Path, dpkg: Path = Path("/") / _DPKG) -> None:
 
 
 def all_well(steps: list[dict[str, object]]) -> bool:
-    """What a disturbed machine made fail, and what was played again for that, does not count."""
+    """Return whether every point passed; one that a disturbed machine made fail, and played again, does not count."""
     counting = [step for step in steps if step["counts"]]
     return bool(counting) and all(step["passed"] for step in counting)
 

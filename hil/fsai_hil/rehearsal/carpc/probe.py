@@ -30,7 +30,7 @@ _PF_PACKET, _CLONE_NEWNS = 17, 0x00020000
 
 
 def attempts(interface: str) -> dict[str, Callable[[], object]]:
-    """What is tried, by name; each raises OSError when it is refused."""
+    """Return the attempts by name; each raises OSError when it is refused."""
     return {
         CAN: lambda: open_socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW),
         "a packet socket": lambda: open_socket(_PF_PACKET, socket.SOCK_RAW),

@@ -125,6 +125,8 @@ STRIKES = (
 
 
 class Rehearsal:
+    """The car PC's services put through the scenes, step by step, each with its verdict in the report."""
+
     def __init__(self, interface: str, missions: int, stall_monitor: StallMonitor) -> None:
         self.interface = interface
         self.missions = missions
@@ -139,7 +141,7 @@ class Rehearsal:
         self.car_is_new = False  # switched on, and not driven yet
 
     def run_short(self) -> None:
-        """What every change of the sources goes through."""
+        """Play the scenes that every change of the sources goes through."""
         self.booted()
         self.switch_car_on()
         watch = self.watch("on")
@@ -274,7 +276,7 @@ class Rehearsal:
     # ------------------------------------------------------------ who else may do what
 
     def sandboxed(self, *, compare: bool) -> None:
-        """What the bridge's sandbox refuses; and who listens on a network.
+        """Check what the bridge's sandbox refuses, and who listens on a network.
 
         compare: that nothing refuses it without the sandbox, else the refusals would show nothing.
         """
@@ -300,7 +302,7 @@ class Rehearsal:
         self.check("nothing on this machine listens on a network", local, words)
 
     def in_the_bridges_place(self, command: str) -> str:
-        """What a command prints that is run by the bridge's unit, with all that restricts it."""
+        """Return what a command prints that is run by the bridge's unit, with all that restricts it."""
         units, ours = Path("/usr/lib/systemd/system"), Path("/run/systemd/system")
         printed = Path("/run/rehearsal/probe")
         printed.unlink(missing_ok=True)
@@ -384,6 +386,7 @@ class Rehearsal:
         self.note("the clock stepped by an hour, both ways: drives on", 3.0, passed=passed)
 
     def disk_filled(self, watch: BusWatch) -> None:
+        """Fill the disk: the car drives on, and the recorder says so."""
         since = len(self.journal_of(self.recorder))
         fill = Path("/var/log/fill")
         since_ns = time.time_ns()
@@ -415,6 +418,7 @@ class Rehearsal:
     # ------------------------------------------------------------ what ends the drive
 
     def struck(self, watch: BusWatch, strike: Strike) -> None:
+        """Send a service a signal: the car comes to rest, and the service comes back, both in time."""
         service = self.bridge if strike.service == "fsai-bridge" else strike.service
         before = main_pid(service)
         struck_s = time.monotonic()
@@ -451,7 +455,7 @@ class Rehearsal:
         self.check(f"{what}: ends in {ends_in.label} and does not drive on", stays, words)
 
     def bridge_began_s(self) -> float:
-        """When the bridge's newest process was started, by the monotonic clock."""
+        """Return when the bridge's newest process was started, by the monotonic clock."""
         return started_s(self.bridge, "ExecMainStartTimestampMonotonic")
 
     def first_frame(self, watch: BusWatch) -> None:
@@ -541,7 +545,7 @@ class Rehearsal:
         self.step("the bus named again: all services are active", self.all_active, 60.0, BOOT_S)
 
     def upgraded(self) -> None:
-        """What dpkg does before and after it puts a newer package's files over these."""
+        """Do what dpkg does before and after it puts a newer package's files over these."""
         scripts = Path("/var/lib/dpkg/info")
         subprocess.run(["sh", scripts / "fsai-vcu.prerm", "upgrade", "9"], check=True)
         active = [service for service in self.services if is_active(service)]
@@ -638,6 +642,7 @@ def started_s(service: str, what: str) -> float:
 
 
 def main() -> int:
+    """Play the scenes on the booted machine, those after a reboot as well; return the exit status."""
     parser = argparse.ArgumentParser()
     parser.add_argument("interface")
     parser.add_argument("missions", type=int)

@@ -79,7 +79,7 @@ STRANGERS = {
 
 
 def looked(argv: list[str], seconds: float, environment: Mapping[str, str]) -> dict[str, object]:
-    """What such a node reports, started with `argv` before it."""
+    """Return what such a node reports, started with `argv` before it."""
     command = [*argv, sys.executable, "-m", "fsai_hil.rehearsal.carpc.wifi", str(seconds)]
     environment = {**os.environ, **environment, "HOME": "/tmp"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""What an AI-side program is asked for, item by item.
+"""The items that an AI-side program is asked for, one by one.
 
 A new item is an entry here, what the judge sees of it, and a scene in which it can be seen.
 """

@@ -66,7 +66,7 @@ _NUMBERS: Final = re.compile(r"[\d.]+")
 
 
 class Verdict(Enum):
-    """Of an item."""
+    """The verdict on an item."""
 
     PASS = "pass"
     NOTE = "note"
@@ -75,7 +75,7 @@ class Verdict(Enum):
 
 
 class Result(NamedTuple):
-    """What was seen of one item."""
+    """The sightings and the verdict of one item."""
 
     item: Item
     verdict: Verdict
@@ -122,6 +122,7 @@ class InspectionJudge:
     """See the module. `start_ns`: of the rehearsal, from which people count its time."""
 
     def __init__(self, codec: Codec, profile: Profile, start_ns: int = 0) -> None:
+        """Begin with a bus on which nothing has been seen."""
         self._codec, self._profile, self._start_ns = codec, profile, start_ns
         self._now_ns = start_ns
         self._wrong: dict[str, dict[str, Sighting]] = {}
@@ -363,6 +364,7 @@ class InspectionJudge:
         self._cycle.append(can_id)
 
     def _on_ai_status(self, ai: AiStatus, t_ns: int) -> None:
+        """Hold a 0x510 against the AS state that the car has shown."""
         self.status = ai
         if self.scene == "handshake":
             self._echoed[0].append(t_ns)
@@ -431,6 +433,7 @@ class InspectionJudge:
             self.wrong("before-go", f"MISSION_STATUS {ai.mission_status.label} in {state.label}")
 
     def _on_axle(self, axle: AiDriveFront | AiDriveRear, can_id: int, t_ns: int) -> None:
+        """Hold a torque request against the AS state, the pedals and what the car allows."""
         kind, nm, state = type(axle), axle.torque_nm, self.state
         self._torque_nm[kind] = nm
         self._meet(t_ns)
@@ -474,6 +477,7 @@ class InspectionJudge:
             )
 
     def _on_steer(self, steer: AiSteer) -> None:
+        """Hold a steering request against the AS state and what the car allows."""
         deg, state = steer.steer_deg, self.state
         self.steer_deg = deg
         if deg == 0.0:
@@ -522,6 +526,7 @@ class InspectionJudge:
     # ------------------------------------------------------------ silences
 
     def _end_silence(self) -> None:
+        """Note how the program reacted to a message that was missing."""
         silence, self._silence = self._silence, None
         if silence is None:
             return
@@ -547,7 +552,7 @@ class InspectionJudge:
     # ------------------------------------------------------------ what it found
 
     def results(self, items: Iterable[Item]) -> list[Result]:
-        """Of each item. Nothing more is to be told after it."""
+        """Return the result of each item. Nothing more is to be told after it."""
         self._end_silence()
         self._end_meeting(self._now_ns)
         self._judge_messages()
@@ -569,6 +574,7 @@ class InspectionJudge:
         return Result(item, Verdict.NOTE if found else Verdict.PASS, (*words, *shown))
 
     def _judge_messages(self) -> None:
+        """Judge whether every message came, at its period and in its order."""
         if not self.frames:
             return
         self.show("messages")
@@ -616,6 +622,7 @@ class InspectionJudge:
             self.show("order", f"{words} in {often} of {all_of_them} cycles")
 
     def _judge_handshake(self) -> None:
+        """Judge the echoes of the handshake: their bits, and how long they took."""
         (asked_ns, asked), (echo_ns, echoes) = self._asked, self._echoed
         if not len(echo_ns):
             return

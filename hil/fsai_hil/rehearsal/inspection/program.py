@@ -70,6 +70,7 @@ class RehearsalProcess(VcuProcess):
         self._watch_program()
 
     def _watch_program(self) -> None:
+        """Tell the rehearsal when the program has ended, or when nobody is there to end it."""
         program, rehearsal = self._program, self._rehearsal
         if self._gone:
             return
@@ -88,7 +89,7 @@ class RehearsalProcess(VcuProcess):
             program.ask_to_end()
 
     def _kill(self) -> None:
-        """What is left of the program's own session, and of nobody else's."""
+        """Kill what is left of the program's own session, and of nobody else's."""
         if self._program is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._program.popen.pid, signal.SIGKILL)

@@ -45,6 +45,7 @@ class Rehearsal(World):
         start_ns: int = 0,
         gps: bool = True,
     ) -> None:
+        """Begin with a car that is switched off, and with the scenes that these items need."""
         super().__init__(
             WorldSetup(
                 missions=[Ami.STATIC_INSPECTION_A],
@@ -111,7 +112,7 @@ class Rehearsal(World):
         return self._over
 
     def results(self) -> list[Result]:
-        """Of each item, in the order of the table; once, at the end."""
+        """Return the result of each item, in the order of the table; once, at the end."""
         return self.inspector.results(self.items)
 
     def _look(self, now: int) -> None:
@@ -127,6 +128,7 @@ class Rehearsal(World):
             self._begin_scene(now)
 
     def _end_scene(self) -> None:
+        """End the scene, and hand its mission's verdict to the judge of the items."""
         scene, self._scene = self._scene, None
         if scene is None:
             return
@@ -237,6 +239,7 @@ class Rehearsal(World):
         return "the VCU was not ready itself"
 
     def why_not_driving(self) -> str:
+        """Name what kept the car from AS_DRIVING after Go."""
         if self.vcu.comms_lost:
             return "AI_COMMS_LOST"
         ai = self.inspector.status

@@ -1,4 +1,4 @@
-"""What people and faults do at the car in a rehearsal, scene by scene, as scripts of the simulator's operator. Pure.
+"""The scenes of a rehearsal: what people and faults do at the car, as scripts of the simulator's operator. Pure.
 
 Each scene begins with a car that is off and ends with one; the program runs on. A script that waits in vain says so to
 the stage, and goes on to switching off.
@@ -37,7 +37,7 @@ PATTERN: Final = (1, 0, 0, 1, 0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 0, 1, 0, 0, 1, 1)
 
 
 class Stage(Protocol):
-    """What a script can do besides the switches, and look at besides the car."""
+    """The stage of a script: it offers what can be done besides the switches, and be seen besides the car."""
 
     power_up: PowerUp
 
@@ -60,7 +60,7 @@ class Stage(Protocol):
         """An item can be seen here."""
 
     def wrong(self, slug: str, words: str) -> None:
-        """What an item does not allow."""
+        """Note what an item does not allow."""
 
     def end_program(self) -> None:
         """The program is asked to end."""
@@ -79,10 +79,10 @@ class Stage(Protocol):
     def program_is_gone(self) -> bool: ...
 
     def why_not_ready(self) -> str:
-        """What the VCU waits for between the choice of a mission and AS_READY, in words."""
+        """Say what the VCU waits for between the choice of a mission and AS_READY."""
 
     def why_not_driving(self) -> str:
-        """What keeps it from AS_DRIVING after Go."""
+        """Say what keeps it from AS_DRIVING after Go."""
 
 
 class Scene(NamedTuple):
@@ -204,6 +204,7 @@ def _to_the_end(stage: Stage) -> Script:
 
 
 def _handshake(stage: Stage) -> Script:
+    """Switch the car on, and let its handshake change in a pattern while the program answers."""
     pause = Await("letting the handshake change in a pattern", delay_ns=PATTERN_NS)
 
     def heard() -> Script:
@@ -295,6 +296,8 @@ def _silent(can_id: int) -> Callable[[Stage], Script]:
     steering = can_id == 0x523
 
     def script(stage: Stage) -> Script:
+        """Drive, and let the message be missing for so long that the program must react."""
+
         def silent() -> Script:
             return (
                 _do(lambda: stage.silence(can_id)),

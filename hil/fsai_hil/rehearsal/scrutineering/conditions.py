@@ -11,7 +11,7 @@ from fsai_vcu.interface.errors import WrongUse
 
 
 class Load(Enum):
-    """What else the machine and the bus have to do."""
+    """The work that the machine and the bus have to do besides."""
 
     PROCESSORS = "every processor busy at normal priority"
     DISK = "the disk written to without a pause"

@@ -1,4 +1,4 @@
-"""What else keeps a machine and a bus busy: as processes of their own, at normal priority.
+"""The load that keeps a machine and a bus busy: as processes of their own, at normal priority.
 
 `python -m fsai_hil.rehearsal.scrutineering.load processor`, `… memory BYTES`, `… disk FILE`, `… file FILE` and
 `… viewers PORT` are such processes.
@@ -46,12 +46,12 @@ class LoadNotStarted(StackError):
 
 
 def frame_bits(length: int) -> int:
-    """Of one frame with `length` bytes, at least: stuff bits, which depend on the content, come on top."""
+    """Return the bits of one frame with `length` bytes, without the stuff bits, which depend on the content."""
     return FRAME_BITS + 8 * length
 
 
 def car_bits_per_s(revision: str, gps_decimation: int = 1, log_decimation: int = 1) -> float:
-    """What bridge, simulated VCU, PCAN-GPS and the remote's receiver put on the bus."""
+    """Return what bridge, simulated VCU, PCAN-GPS and the remote's receiver put on the bus."""
     bits = 0.0
     for row in BUS_TABLE:
         if (row.flow in _SIMULATED or row.name == "RES_TPDO") and revision in row.period_ns:

@@ -32,7 +32,7 @@ def machine() -> dict[str, Any]:
 
 
 def facts(checkout: Path) -> dict[str, Any]:
-    """When, on what and of which sources something was measured."""
+    """Return when, on what and of which sources something was measured."""
     return {
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "versions": versions(),
@@ -41,7 +41,7 @@ def facts(checkout: Path) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of the packages that are installed."""
+    """Return the versions of the packages that are installed."""
     found = {each.name: each.version for each in reversed([*distributions()])}  # the first of a name counts
     return {package: found.get(package, "not installed") for package in PACKAGES}
 
@@ -58,7 +58,7 @@ def source_revision(checkout: Path) -> str:
 
 
 def scheduling_of(pid: int) -> dict[str, Any]:
-    """How the most urgent thread of a process is scheduled, and whether its memory is locked, as the kernel has it."""
+    """Return how the kernel schedules the most urgent thread of a process, and whether its memory is locked."""
     found = collect.scheduling_of(Path("/proc", str(pid)))
     assert found is not None, f"process {pid} has ended"
     return asdict(found)

@@ -67,6 +67,7 @@ class Measurement:
     """
 
     def __init__(self, bus: str, folder: Path, *, seconds: float, revision: str, slow_place: bool) -> None:
+        """Begin with nothing started; `slow_place` sends fewer of the car's frames."""
         self._bus = bus
         self._folder = folder
         self._seconds = seconds
@@ -124,6 +125,7 @@ class Measurement:
         del self._stack.processes[_PEER]
 
     def _measure_all(self, conditions: Sequence[Condition]) -> dict[str, Any]:
+        """Measure one condition after another on the running bridge; return the facts of all."""
         _say("starting the bridge")
         self._stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = self._operator = RosOperator(self._stack, "scrutineer")
@@ -254,7 +256,7 @@ class Measurement:
     # ------------------------------------------------------------ one condition
 
     def _leave_out(self, condition: Condition, why: str) -> None:
-        """What has been measured is worth its report all the same."""
+        """Leave a condition out with the reason: what has been measured is worth its report all the same."""
         self._not_measured[condition.name] = why
         _say(f"    not measured: {why}")
 
@@ -314,7 +316,7 @@ class Measurement:
         await_condition(lambda: candump.log_path.stat().st_size > 0, END_S, "candump receives")
 
     def _end_log(self) -> None:
-        """What the log of this car shows of each condition."""
+        """Read from the log of this car what it shows of each condition."""
         candump = self._stack.processes.pop(f"bus-{self._cars}")
         candump.stop()
         windows, self._windows = self._windows, {}

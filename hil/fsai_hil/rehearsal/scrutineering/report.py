@@ -1,4 +1,4 @@
-"""What was measured, for people: one table, the verdict in plain words, and what the figures mean and do not mean."""
+"""The report of a measurement, for people: a table, the verdict in plain words, and what the figures mean."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FIGURES = ("p50_ms", "p99_ms", "max_ms")
 
 
 def failures(measured: Mapping[str, Any]) -> list[str]:
-    """What was measured and is not as it should be, in words; nothing when all is. See also `not_measured`."""
+    """Say what was measured and is not as it should be; nothing when all is. See also `not_measured`."""
     found = []
     for row in measured["conditions"]:
         reasons = [f"{row['name']}: {words}" for words in (*_late(row), *_slow(row))]
@@ -69,7 +69,7 @@ def _slow(row: Mapping[str, Any]) -> Iterator[str]:
 
 
 def not_measured(measured: Mapping[str, Any]) -> list[str]:
-    """What could not be measured, or not to the end for want of commands to drive by, by why."""
+    """Return what could not be measured, or not to the end for want of commands to drive by, by why."""
     names: dict[str, list[str]] = {}
     for name, why in measured["not_measured"].items():
         names.setdefault(why, []).append(name)
@@ -173,6 +173,7 @@ def _table(rows: Sequence[Mapping[str, Any]], key: str) -> str:
 
 
 def _legend(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Describe each condition, and what its log showed of the rules."""
     lines = [
         f"- **{row['name']}**: {row['words']}" + (f" ({note})" if (note := row["ended_early"] or row["stood"]) else "")
         for row in rows
@@ -209,6 +210,7 @@ def _surroundings(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _method(measured: Mapping[str, Any]) -> str:
+    """Describe how the figures were measured, and what they do not mean."""
     decimation = measured["decimation"]
     held_up_ms = sum(row["held_up_ms"] for row in measured["conditions"])
     points = [
@@ -251,6 +253,7 @@ def _method(measured: Mapping[str, Any]) -> str:
 
 
 def _machine(measured: Mapping[str, Any]) -> str:
+    """Describe the machine and the place of the bus as a table."""
     host, inside = measured["host"], measured["machine"]
     slower = "" if measured["pace"] == 1.0 else f", its clock {measured['pace']:g} times slower"
     place = (

@@ -178,6 +178,7 @@ def rows_of(text: str, source: str, told: Told) -> Iterator[Row]:
 
 
 def _mapping_rows(read: Callable[[str, str], Any], text: str, source: str) -> Iterator[Row]:
+    """Yield the rows of a file that is a mapping, by the format whose keys it has."""
     form: Format | None = None
     try:
         found = read(text, source)
@@ -205,6 +206,7 @@ def _json_of(text: str, source: str) -> Any:
 
 
 def _yaml_of(text: str, source: str) -> Any:
+    """Return what a YAML file holds; raises TrackError where it is no plain data."""
     try:
         import yaml  # type: ignore[import-untyped]  # optional
     except ImportError:
@@ -246,6 +248,7 @@ def _check_plain(root: Any, source: str) -> None:
 
 
 def _table_rows(text: str, source: str, told: Told) -> Iterator[Row]:
+    """Yield the rows of a table, by the format that its header names or its columns show."""
     reader = csv.reader(text.splitlines())
     form: Format | None = None
     for row in _whole_rows(reader, source):

@@ -31,7 +31,7 @@ Arc = tuple[float, float]  # its length, m, and its curvature, 1/m, left positiv
 
 
 class Style(Value, frozen=True):
-    """What a circuit is made of."""
+    """The ranges from which a circuit is drawn."""
 
     lane_m: tuple[float, float]
     hairpin_m: tuple[float, float]  # outside diameter; the rules' least is 9 m
@@ -66,7 +66,7 @@ def generated_circuit(seed: int, style: str = "mixed") -> Track:
 
 
 def _elements(draw: random.Random, style: Style, lane_m: float) -> list[list[Arc]]:
-    """What is between the straights; the last one completes the turn of the lap, where it can."""
+    """Draw what is between the straights; the last one completes the turn of the lap, where it can."""
     tightest_m = max(style.hairpin_m[0], 2.0 * lane_m + BETWEEN_LANES_M)
     elements: list[list[Arc]] = []
     for _ in range(draw.randint(4, 8)):
@@ -114,7 +114,7 @@ def _closed(draw: random.Random, elements: Sequence[Sequence[Arc]]) -> tuple[Flo
     for element in elements:
         cos, sin = math.cos(heading), math.sin(heading)
         along.append((cos, sin))
-        moved += np.array([[cos, -sin], [sin, cos]]) @ _line(element)[-1]
+        moved += np.array([[cos, -sin], [sin, cos]]) @ line_of(element)[-1]
         heading += sum(length * bend for length, bend in element)
     count = len(elements)
     drawn = [draw.uniform(START_STRAIGHT_M, 60.0), *(draw.uniform(2.0, 45.0) for _ in range(count - 1))]
@@ -127,16 +127,16 @@ def _closed(draw: random.Random, elements: Sequence[Sequence[Arc]]) -> tuple[Flo
     ).x
     if math.hypot(*(directions @ straights + moved)) > 0.05:
         return None
-    line = _line(
+    line = line_of(
         [arc for straight, element in zip(straights, elements, strict=True) for arc in ((straight, 0.0), *element)]
     )
     open_m = line[-1] - line[0]
     return line[:-1] - np.linspace(0.0, 1.0, len(line) - 1, endpoint=False)[:, None] * open_m, float(straights[0])
 
 
-def _line(arcs: Sequence[Arc]) -> Floats:
-    """Points along arcs, from the origin along x."""
-    counts = [max(1, round(length / STEP_M)) for length, _ in arcs]
+def line_of(arcs: Sequence[Arc], step_m: float = STEP_M) -> Floats:
+    """(N, 2) points along arcs about every `step_m`, from the origin along x."""
+    counts = [max(1, round(length / step_m)) for length, _ in arcs]
     step = np.repeat([length / count for (length, _), count in zip(arcs, counts, strict=True)], counts)
     turn = step * np.repeat([bend for _, bend in arcs], counts)
     heading = np.cumsum(turn) - turn / 2.0

@@ -1,4 +1,4 @@
-"""What a track is: cones, lines, the lane between the borders, and where the car is staged."""
+"""The layout of a track: cones, lines, the lane between the borders, and where the car is staged."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TrackError(ValueError):
 
 
 class TrackKind(Enum):
-    """What can be driven on a track."""
+    """The kinds of track, by what can be driven on them."""
 
     STATIC = "static"  # no cones: static inspections and the demonstration
     ACCELERATION = "acceleration"
@@ -101,11 +101,11 @@ class Track(Value, frozen=True):
         return length + float(np.hypot(*(line[0] - line[-1]))) if self.closed else length
 
     def on_lane(self, x_m: float, y_m: float) -> bool:
-        """Whether a point is between the borders; always so where no borders are known."""
+        """Return whether a point is between the borders; always so where no borders are known."""
         return not self.lane or any(_inside(rings, x_m, y_m) for rings in self.lane)
 
     def staging(self, mission: Ami, nose_m: float) -> Pose:
-        """Where the car (its nose `nose_m` ahead of the rear axle) stands before a mission.
+        """Return where the car (its nose `nose_m` ahead of the rear axle) stands before a mission.
 
         A file's own car_start wins; otherwise the foremost part is staged before the start line as the mission asks.
         """
@@ -186,7 +186,7 @@ def offset_line(centreline: Floats, offset_m: float) -> Floats:
 
 
 def closest_m(middle: Floats, further_m: float) -> float:
-    """How near a closed line sampled every 0.25 m comes to itself, further along it than that."""
+    """Return how near a closed line sampled every 0.25 m comes to itself, further along it than that."""
     thin = middle[::4]
     count = len(thin)
     apart = np.hypot(thin[:, None, 0] - thin[None, :, 0], thin[:, None, 1] - thin[None, :, 1])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from fsai_hil.rehearsal import bench_planning
+from fsai_hil.bench import __main__ as command
+from fsai_hil.bench import planning
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan
 from fsai_vcu.core.planning.planner import Planner
 
@@ -17,7 +18,9 @@ from fsai_vcu.core.planning.planner import Planner
 def test_a_hairpin_beside_its_own_lane_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "figures.json"
     page = tmp_path / "page.md"
-    assert bench_planning.main(["hairpin-3.5-0.5", "--condition", "ideal", "--json", str(file), "-o", str(page)]) == 0
+    assert (
+        command.main(["planning", "hairpin-3.5-0.5", "--condition", "ideal", "--json", str(file), "-o", str(page)]) == 0
+    )
     row = json.loads(file.read_text())[0]
     assert row["failed_at_m"] == [] and row["looks"] > 50
     assert 0.0 < row["error_m"] <= row["error_max_m"]
@@ -37,10 +40,10 @@ def test_paths_onto_the_cones_or_none_are_failures(monkeypatch: pytest.MonkeyPat
         return replace(plan, path_m=path)
 
     monkeypatch.setattr(Planner, "on_cones", wrong)
-    [row] = bench_planning.bench(["hairpin-3.5-2"], bench_planning.CONDITIONS[:1])
+    [row] = planning.bench(["hairpin-3.5-2"], planning.CONDITIONS[:1])
     assert len(row.failed_at_m) == row.looks
 
 
 def test_a_track_that_is_no_closed_lane_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench_planning.main(["acceleration"]) == 2
+    assert command.main(["planning", "acceleration"]) == 2
     assert "not a closed lane" in capsys.readouterr().err

@@ -9,8 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.rehearsal import bench
-from fsai_hil.rehearsal.bench import NODE_START, QUICK, SPEED, bench_node, main, row, too_slow
+from fsai_hil.bench import __main__ as bench
+from fsai_hil.bench.__main__ import QUICK, too_slow
+from fsai_hil.bench.loop import NODE_START, node_rows
+from fsai_hil.bench.rows import Row, in_turns, row, timed
+
+
+def main(arguments: list[str]) -> int:
+    return bench.main(["speed", *arguments])
 
 
 @pytest.mark.long
@@ -26,7 +32,8 @@ def test_quick_prints_a_table_and_writes_every_figure(
     node = [NODE_START] if find_spec("rclpy") and find_spec("fsai_msgs") else []
     logs = [f"{name} random, wall" for name in ("decode", "values", "check", "stats", "parquet", "mcap")]
     starts = ["decode a frame", "encode a frame", "answer a 0x520", "start to a first frame", *node]
-    assert list(by_name) == [*starts, *logs, "mf4, wall", "drive static_inspection_b"]
+    readers = [f"read {name}" for name in ("log", "asc", "trc", "blf")]
+    assert list(by_name) == [*starts, *logs, "mf4, wall", *readers, "drive static_inspection_b"]
     for each in by_name.values():
         for figure in (each["ours"], each["peer"], each["ratio"]):
             assert 0 < figure["least"] <= figure["median"] <= figure["most"]
@@ -39,16 +46,15 @@ def test_a_bridge_slower_than_1_s_to_its_first_frame_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     slow = [row(NODE_START, "s", [1.04, 1.2])]
-    assert too_slow([row(NODE_START, "s", [1.0, 1.2])]) is None, "one start was disturbed"
-    assert too_slow([]) is None
-    monkeypatch.setattr(bench, "run", lambda *_: slow)
+    assert not too_slow([row(NODE_START, "s", [1.0, 1.2])]), "one start was disturbed"
+    assert not too_slow([])
+    monkeypatch.setattr(bench, "measured", lambda *_: slow)
     assert main(["--quick", "-o", str(tmp_path)]) == 0, "in a hurry nothing is judged"
     capsys.readouterr()
     assert main(["-o", str(tmp_path)]) == 1
     printed = capsys.readouterr()
     assert (
-        printed.err
-        == "fsai_hil.rehearsal.bench: start bridge node: 1.04 s of processor time to its first frame, more than 1 s\n"
+        printed.err == "fsai_hil.bench: start bridge node: 1.04 s of processor time to its first frame, more than 1 s\n"
     )
     assert (tmp_path / "bench.json").exists() and NODE_START in printed.out
 
@@ -62,21 +68,21 @@ def test_a_bridge_that_ends_without_a_frame_has_its_error_shown(
     (package / "vcu_bridge.py").write_text("raise SystemExit('no such bus')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(AssertionError, match=r"^no frame of vcu_bridge: no such bus"):
-        bench_node(QUICK)
+        node_rows(1)
 
 
 def test_a_folder_that_cannot_be_made_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--quick", "-o", "/proc/absent"]) == 1
-    assert capsys.readouterr().err == "fsai_hil.rehearsal.bench: /proc/absent: No such file or directory\n"
+    assert capsys.readouterr().err == "fsai_hil.bench: /proc/absent: No such file or directory\n"
 
 
 @pytest.fixture
 def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """`bench ARGS` where the run finds these rows; the baseline is in a folder of its own."""
+    """`bench speed ARGS` where the run finds these rows; the baseline is in a folder of its own."""
     monkeypatch.setattr(bench, "BASELINE", tmp_path / "baseline.json")
 
-    def run(rows: list[bench.Row], *args: str) -> int:
-        monkeypatch.setattr(bench, "run", lambda *_: rows)
+    def run(rows: list[Row], *args: str) -> int:
+        monkeypatch.setattr(bench, "measured", lambda *_: rows)
         return main([*args, "-o", str(tmp_path / "out")])
 
     return run
@@ -87,6 +93,9 @@ def test_a_ratio_that_fell_by_more_than_its_noise_fails(
 ) -> None:
     steady, noisy = [10.0, 10.0, 10.0], [8.0, 10.0, 12.0]
     assert checked([row("a", "s", [1.0] * 3, "p", steady), row("b", "s", [1.0] * 3, "p", noisy)], "--write") == 0
+    assert [set(each) for each in json.loads(bench.BASELINE.read_text())["results"]] == [
+        {"name", "peer_name", "ratio"}
+    ] * 2
     slower_machine = [row("a", "s", [3.0] * 3, "p", [27.3] * 3), row("b", "s", [1.0] * 3, "p", [7.2] * 3)]
     assert checked(slower_machine, "--check") == 0, "within the 10 % between runs, and within the spread of the rounds"
     assert checked([row("a", "s", [1.0] * 3, "p", [8.9] * 3), row("b", "s", [1.0] * 3, "p", noisy)], "--check") == 1
@@ -94,10 +103,23 @@ def test_a_ratio_that_fell_by_more_than_its_noise_fails(
     assert printed.err.endswith("by more than the noise: a\n") and "-11%" in printed.out
 
 
-def test_a_drive_is_slower_where_less_is_driven_in_a_loop(checked: Callable[..., int]) -> None:
-    assert checked([row("drive", SPEED, [8.0, 8.0], "loop", [0.5, 0.5])], "--write") == 0
-    assert checked([row("drive", SPEED, [4.0, 4.0], "loop", [1.0, 1.0])], "--check") == 0, "a machine half as fast"
-    assert checked([row("drive", SPEED, [4.0, 4.0], "loop", [0.5, 0.5])], "--check") == 1
+def test_both_take_turns_and_the_first_round_does_not_count() -> None:
+    calls: list[str] = []
+
+    def measured(name: str, *times: float) -> tuple[str, Callable[[], float]]:
+        left = iter(times)
+        return name, lambda: (calls.append(name), next(left))[1]
+
+    [found] = in_turns("s", 2, measured("peer", 90.0, 4.0, 8.0), measured("ours", 50.0, 2.0, 1.0), cold=1)
+    assert calls == ["ours", "peer", "peer", "ours", "ours", "peer"]
+    assert found["ratio"] == {"median": 5.0, "least": 2.0, "most": 8.0}
+
+
+def test_a_time_is_that_of_one_unit_of_what_was_done() -> None:
+    clock = iter([1.0, 7.0, 10.0, 16.0])
+    driven_s = timed(lambda: 3.0, 1.0, timer=lambda: next(clock))
+    frame_us = timed(lambda: None, 1e6, turns=2, of=6, timer=lambda: next(clock))
+    assert (driven_s(), frame_us()) == (2.0, 0.5e6)
 
 
 def test_a_row_that_is_no_longer_measured_fails(
@@ -134,4 +156,5 @@ def test_without_a_baseline_the_check_says_which_is_missing(
     checked: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert checked([], "--check") == 1
-    assert "baseline.json; this makes one: make bench-check ARGS=--write" in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert "baseline.json: " in printed and "this makes it again: make bench-check ARGS=--write" in printed
