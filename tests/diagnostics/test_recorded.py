@@ -116,3 +116,11 @@ def test_stalls_are_noted_beside_each_log_of_a_folder(tmp_path: Path) -> None:
     note_stalls(tmp_path, [(2, 9)])
     assert recorded(tmp_path / "fsai-000002.log") == Recorded(3, ((2, 9),))
     assert json.loads((tmp_path / "fsai-000001.json").read_text())["host"] == "h" * 200
+
+
+def test_a_stall_that_did_no_harm_is_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = branch(driving(), lambda run: None, 2.0).frames
+    at_ns = int(frames.t_ns[-1]) - S
+    assert main(["check", str(written(tmp_path, frames, stood_still_ns=[[at_ns, at_ns + 97 * MS]]))]) == 0
+    out = capsys.readouterr().out
+    assert "note: this computer stood still for 97 ms\n" in out and "verdict: OK" in out

@@ -6,7 +6,7 @@ A gap in such a log may be that computer's own. It is named then, and neither th
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeGuard
@@ -48,12 +48,14 @@ class Recorded(NamedTuple):
         """The longest stall that has a moment in that time."""
         return max(self.within(begin_ns, end_ns).stalls_ns, key=lambda each: each[1] - each[0], default=None)
 
-    def sentences(self) -> Iterator[str]:
-        """A sentence for each kind of trouble; none where the computer was in order."""
-        if self.lost:
-            yield lost_words(self.lost)
-        if self.stalls_ns:
-            yield f"{stall_words(self.stalls_ns)}: it was too busy, so this run is not judged"
+    @property
+    def standstill(self) -> str:
+        """The clause on the stalls; '' where there was none."""
+        if not self.stalls_ns:
+            return ""
+        longest = max(end_ns - begin_ns for begin_ns, end_ns in self.stalls_ns)
+        more = f" (the longest of {len(self.stalls_ns)} times)" if len(self.stalls_ns) > 1 else ""
+        return f"this computer stood still for {ms(longest)}{more}"
 
 
 IN_ORDER: Final = Recorded()
@@ -68,13 +70,6 @@ def lost_words(frames: int) -> str:
     """The sentence on frames that a listening machine lost itself; '' for none."""
     which = f"{frames} frame{'s' * (frames > 1)}"
     return f"{which} lost in this machine's receive buffer: no fault of the bus or the car" if frames else ""
-
-
-def stall_words(stalls_ns: Sequence[tuple[int, int]]) -> str:
-    """The clause on times at which the computer stood still, of which there is at least one."""
-    longest = max(end_ns - begin_ns for begin_ns, end_ns in stalls_ns)
-    more = f" (the longest of {len(stalls_ns)} times)" if len(stalls_ns) > 1 else ""
-    return f"this computer stood still for {ms(longest)}{more}"
 
 
 def recorded(log: Path) -> Recorded:

@@ -29,7 +29,7 @@ from fsai_vcu.diagnostics.explain.signals import (
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.frames import Frames, straightened
 from fsai_vcu.diagnostics.log.part import Part
-from fsai_vcu.diagnostics.log.recorded import IN_ORDER, Recorded
+from fsai_vcu.diagnostics.log.recorded import IN_ORDER, Recorded, lost_words
 from fsai_vcu.diagnostics.remedies import remedy_of
 from fsai_vcu.diagnostics.statistics.measure import (
     MISSING_PERIODS,
@@ -62,6 +62,7 @@ SAID_BY: Final[Mapping[str, tuple[str, ...]]] = {
 }
 # in which a handshake is lost too
 NO_ECHO: Final = frozenset({"ai_silent", "ai_bus_off", "bus_lost", "handshake_lost", "echo_wrong", "vcu_hung"})
+_INCIDENTS: Final = frozenset(kind.slug for kind in IncidentKind)
 SHORT_NS: Final = 1 * S
 
 
@@ -129,7 +130,12 @@ def judged(
     findings = [
         one for one in verdict.findings if not ((unknown and by_times(one)) or of_the_recording(one, whole.recorded))
     ]
-    unknown += whole.recorded.sentences()
+    unknown += [lost_words(whole.recorded.lost)] if whole.recorded.lost else []
+    # A run in which nothing went wrong is one that the computer's standing still did not touch.
+    if standstill := whole.recorded.standstill:
+        touched = len(findings) < len(verdict.findings) or any(one.kind in _INCIDENTS for one in findings)
+        unknown += [f"{standstill}: it was too busy, so this run is not judged"] if touched else []
+        notes += [] if touched else [Finding("note", "busy", standstill)]
     findings = sorted([*findings, *notes], key=lambda one: (one.severity != "problem", one.t_ns or 0))
     unknown += [copies.words] if copies is not None and not copies.sure else []
     verdict = replace(verdict, findings=tuple(findings), unknown=(*unknown, *verdict.unknown))
