@@ -19,7 +19,7 @@ from fsai_vcu.interface.units import MS
 def short_form() -> command.Done:
     """Play the short form in a process of its own: Hypothesis also draws constants of the modules loaded around it."""
     with get_context("spawn").Pool(1) as fresh:
-        return fresh.apply(command.batch, (2026,), {"examples": 160})
+        return fresh.apply(command.batch, (2026,), {"examples": 100})
 
 
 def test_no_rule_is_broken_on_the_wire() -> None:

@@ -137,8 +137,9 @@ _FRAME = st.builds(
     _of(*[""] * 7, "extended", "remote", "error"),
 )
 _HAPPENS = (
-    *[_AGAIN] * 2,
-    *[_SPOILT, _steps(_SPOILT, _run(1, 2, 11), times=(2, 3, 5)), _MISSING] * 3,
+    # Each in `_steps` is one among the others; a bare one_of would be as many as it has parts.
+    *[_steps(_AGAIN)] * 2,
+    *[_steps(_SPOILT), _steps(_SPOILT, _run(1, 2, 11), times=(2, 3, 5)), _MISSING] * 3,
     _steps(_step("frame", frame=_FRAME, ahead_ns=(0, 0, 0, 10**6, 5 * 10**7)), _run(0, 1), times=(1, 2, 5, 12)),
     *[_step("car", as_state=(*AsState,), go_signal=(True, True, False))] * 2,
     _steps(_step("car", as_state=AsState.EMERGENCY_BRAKE), _run(5, 20, 180), _step("car", as_state=_OFF)),
