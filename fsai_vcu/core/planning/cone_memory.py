@@ -258,11 +258,11 @@ def _in_other_border(known: Floats, rows: Rows) -> Bools:
     own, other = of_neighbour * known[:, None] > 0.0, of_neighbour * known[:, None] < 0.0
     of_next = of_neighbour.take(rows.whom, axis=0)  # of each neighbour's own neighbours
     in_line = ((of_neighbour[:, :, None] * of_next > 0.0) & rows.beyond).any(axis=2)  # two of one colour, one behind …
-    contrary = (other & in_line).any(axis=1)  # … the other
-    if not np.count_nonzero(contrary):
-        return contrary
-    between = own[:, :, None] & own[:, None] & rows.between
-    return contrary & ~(own & in_line).any(axis=1) & ~between.any(axis=(1, 2))
+    contrary = np.asarray((other & in_line).any(axis=1))  # … the other
+    if np.count_nonzero(contrary):
+        between = own[:, :, None] & own[:, None] & rows.between
+        contrary &= ~((own & in_line).any(axis=1) | between.any(axis=(1, 2)))
+    return contrary
 
 
 def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:

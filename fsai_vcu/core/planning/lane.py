@@ -290,9 +290,10 @@ def _search(
         ends = poses.dot(fan.ends).reshape(-1, POSE)  # of the first pose's arcs, then of the second's, …
         beside = _beside(seen, fan, step)
         charge, as_border = _charge(beside, worth, open_)
-        by_cones, borders = np.bincount(beside.arc, charge, len(ends)), np.bincount(beside.arc, as_border, len(ends))
-        by_bends = fan.bending_cost.take(bend, axis=0).ravel()
-        ends[:, COST] = _costs(ends, by_cones, by_bends, borders < BORDER_MIN, known)
+        ends[:, COST] += np.bincount(beside.arc, charge, len(ends))
+        ends[:, COST] += fan.bending_cost.take(bend, axis=0).ravel()
+        empty = np.bincount(beside.arc, as_border, len(ends)) < BORDER_MIN
+        ends[:, COST] = _costs(ends, empty, known)
         kept = _keep(ends, settings.beam)
         parent, bend = np.divmod(kept, len(fan.bends))
         history.append((poses, parent, bend))
@@ -371,11 +372,10 @@ def _charge(beside: _Beside, worth: _Worth, open_: Bools) -> tuple[Floats, Float
     return charge, as_border
 
 
-def _costs(ends: Floats, by_cones: Floats, by_bends: Floats, empty: Bools, known: Known) -> Floats:
-    """(A,) the cost of the chain up to each arc's end; `empty`: the arc has no border beside it."""
-    cost = ends[:, COST] + by_cones + by_bends
+def _costs(ends: Floats, empty: Bools, known: Known) -> Floats:
+    """(A,) the costs at the arcs' ends, and besides those of arcs out of view, without a border, or driven already."""
     unseen = np.hypot(ends[:, X], ends[:, Y]) > known.view_m
-    cost += np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
+    cost = ends[:, COST] + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
     if known.driven_m is not None:
         dx, dy = ends[:, X, None] - known.driven_m[:, 0], ends[:, Y, None] - known.driven_m[:, 1]
         cost += COST_DRIVEN * (np.minimum.reduce(dx * dx + dy * dy, axis=1) < DRIVEN_M**2)

@@ -548,7 +548,7 @@ class Record:
         times = self.times(sig.STATUS)
         spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]
         came = np.searchsorted(spread, end_ns) - np.searchsorted(spread, begin_ns)
-        return np.minimum(end_ns - begin_ns, came * PERIOD_NS)
+        return np.asarray(np.minimum(end_ns - begin_ns, came * PERIOD_NS))
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:
