@@ -243,21 +243,26 @@ def by_chain(side: Floats, rows: Rows) -> Floats:
     """
     if not np.count_nonzero(side):
         return side
-    whom = rows.whom
     known = np.append(side, 0.0)
     for _ in range(CHAIN_PASSES):
-        its = known.take(whom)
-        colors = known[:, None] * its
-        led = ((its[:, :, None] * its.take(whom, axis=0) > 0.0) & rows.beyond).any(axis=2)
-        contrary = ((colors < 0.0) & led).any(axis=1)
-        if not np.count_nonzero(contrary):
-            break
-        mine = colors > 0.0
-        contrary &= ~((mine & led).any(axis=1) | (mine[:, :, None] & mine[:, None] & rows.between).any(axis=(1, 2)))
+        contrary = _in_other_border(known, rows)
         if not np.count_nonzero(contrary):
             break
         known[contrary] *= -1.0
     return np.where(known[:-1] == side, side, 0.0)
+
+
+def _in_other_border(known: Floats, rows: Rows) -> Bools:
+    """Select the cones in a border of the other colour. known: (N + 1,) sides by colour, the last one 0."""
+    of_neighbour = known.take(rows.whom)
+    own, other = of_neighbour * known[:, None] > 0.0, of_neighbour * known[:, None] < 0.0
+    of_next = of_neighbour.take(rows.whom, axis=0)  # of each neighbour's own neighbours
+    in_line = ((of_neighbour[:, :, None] * of_next > 0.0) & rows.beyond).any(axis=2)  # two of one colour, one behind …
+    contrary = np.asarray((other & in_line).any(axis=1))  # … the other
+    if np.count_nonzero(contrary):
+        between = own[:, :, None] & own[:, None] & rows.between
+        contrary &= ~((own & in_line).any(axis=1) | between.any(axis=(1, 2)))
+    return contrary
 
 
 def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:

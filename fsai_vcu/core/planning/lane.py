@@ -14,6 +14,7 @@ import math
 from functools import cache
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from fsai_vcu.core.arrays import Floats, Ints
@@ -213,6 +214,10 @@ class _Begin(Value, frozen=True):
     along_m: float = 0.0  # of way from the car
 
 
+# For each step: its poses; for each pose kept after it, the pose that it comes from and the bend of the arc to it.
+History = list[tuple[Floats, Ints, Ints]]
+
+
 class _Fan(Value, frozen=True):
     """The arcs that may follow each pose, and what does not depend on the pose."""
 
@@ -224,7 +229,8 @@ class _Fan(Value, frozen=True):
     quarters_m: Floats  # (4,) way along an arc to each of its points
 
 
-X, Y, HEADING, COS, SIN, COST, ONE = range(7)  # of a pose
+POSE = 7  # numbers, in this order: place and direction, what the chain up to it costs, and 1
+X, Y, HEADING, COS, SIN, COST, ONE = range(POSE)
 CELLS = 1.0 / np.array([0.7, 0.7, 0.3])  # m, m, rad: poses as near as that are about the same
 BEST = 4  # times the beam's poses: arcs looked at for it, beginning with the best
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
@@ -241,7 +247,7 @@ def _fan(settings: PlannerSettings) -> _Fan:
     jerk = np.abs(bends[None, :] - bends[:, None]) / tightest
     cos, sin = np.cos(step * bends), np.sin(step * bends)
     x, y = step * np.cos(0.5 * step * bends), step * np.sin(0.5 * step * bends)
-    ends = np.zeros((7, len(bends), 7))
+    ends = np.zeros((POSE, len(bends), POSE))
     for same in (X, Y, HEADING, COST, ONE):
         ends[same, :, same] = 1.0
     ends[COS, :, X], ends[SIN, :, X], ends[COS, :, Y], ends[SIN, :, Y] = x, -y, y, x
@@ -250,7 +256,7 @@ def _fan(settings: PlannerSettings) -> _Fan:
     return _Fan(
         bends,
         COST_BENDING * jerk * jerk * 0.5,
-        ends.reshape(7, -1),
+        ends.reshape(POSE, -1),
         np.block([[cos, -sin], [sin, cos], [-x * cos - y * sin, x * sin - y * cos]]).T.copy(),
         0.5 * step * step * bends,
         np.arange(0.0, step - 1e-9, step / 4.0),
@@ -268,92 +274,129 @@ def _search(
     counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
     only for the one pair of arc and cone in fifteen that stand beside each other.
     """
-    fan = _fan(settings)
-    step = settings.step_m
+    fan, step = _fan(settings), settings.step_m
     reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
-    n_bends, n_cones = len(fan.bends), len(xy)
-    unseen_m = max(reach_m, known.view_m)
-    beside_m = step + OUTSIDE_M  # cones further to a pose's front or side are beside none of its arcs
+    known = replace(known, view_m=max(reach_m, known.view_m))
+    worth = _worth(side)
 
-    # For each cone, to the left of a chain and then to its right: its reward, and how wrong its colour (or what earlier
-    # lanes say) is there.
-    agrees = np.array((side, -side))
-    may_stand = agrees > -SURE_SIDE
-    reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY).ravel()
-    wrong = (COST_WRONG_SIDE * np.maximum(0.0, -agrees)).ravel()
-    nearest = np.where(may_stand, NEAREST_M, np.inf).ravel()
-
-    poses = np.array(
-        [[begin.x_m, begin.y_m, begin.yaw_rad, math.cos(begin.yaw_rad), math.sin(begin.yaw_rad), 0.0, 1.0]]
-    )
-    bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])  # places in fan.bends
+    yaw = begin.yaw_rad
+    poses = np.array([[begin.x_m, begin.y_m, yaw, math.cos(yaw), math.sin(yaw), 0.0, 1.0]])
+    bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])  # of the arc to each pose: place in fan.bends
     seen = _seen_from(poses, xy)
     open_ = ~counted[:, None]  # (N, P) not counted by each chain so far
-    history: list[tuple[Floats, Ints, Ints]] = []  # poses; of those that go on from them: the pose, the bend of the arc
-
+    history: History = []
     while True:
-        # The arcs of the first pose, then those of the second, …
-        n_poses = len(poses)
-        n_arcs = n_poses * n_bends
-        ends = poses.dot(fan.ends).reshape(n_arcs, 7)
-
-        # Cones near each pose, in its frame; of the arcs those that have the cone between their start and end.
-        ahead, left, _ = seen
-        near = ((ahead >= 0.0) & (np.maximum(ahead, np.abs(left)) < beside_m)).ravel().nonzero()[0]
-        local = seen.reshape(3, -1).take(near, axis=1)
-        at_ends = fan.into_ends.dot(local).ravel()
-        behind = (at_ends[: n_bends * len(near)] < 0.0).nonzero()[0]
-        its_bend = behind // len(near)
-        row = behind - len(near) * its_bend
-        u0, v0 = local[0].take(row), local[1].take(row)
-        u1, v1 = at_ends.take(behind), at_ends[n_bends * len(near) :].take(behind)
-        place = near.take(row)
-        pair = place * n_bends + its_bend  # of cone and arc
-        cone = pair // n_arcs
-        arc = pair - n_arcs * cone
-        share = u0 / (u0 - u1)
-        lateral = v0 + share * (v1 - v0 - fan.sag.take(its_bend) * (1.0 - share))
-
-        clear, beyond = np.minimum(np.maximum((np.abs(lateral) - RAMP_FROM_M) / RAMP_SPAN_M, 0.0), 1.0)
-        ours = 1.0 - beyond
-        as_border = clear * ours
-        on_side = cone + n_cones * (lateral <= 0.0)
-        charge = (
-            COST_IN_THE_WAY * (1.0 - clear)
-            + wrong.take(on_side) * ours
-            - reward.take(on_side) * as_border * open_.take(place)
-        )
-        cost = ends[:, COST] + np.bincount(arc, charge, n_arcs) + fan.bending_cost.take(bend, axis=0).ravel()
-        unseen = np.hypot(ends[:, X], ends[:, Y]) > unseen_m
-        empty = np.bincount(arc, as_border, n_arcs) < BORDER_MIN
-        cost = cost + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
-        if known.driven_m is not None:
-            dx, dy = ends[:, X, None] - known.driven_m[:, 0], ends[:, Y, None] - known.driven_m[:, 1]
-            cost += COST_DRIVEN * (np.minimum.reduce(dx * dx + dy * dy, axis=1) < DRIVEN_M**2)
-        ends[:, COST] = cost
-
-        # Keep the best; of chains that end at about the same pose only the best one.
-        order = cost.argsort(kind="stable")[: BEST * settings.beam]
-        cell = np.floor(ends.take(order, axis=0)[:, : HEADING + 1] * CELLS).dot(CELL_NUMBER)
-        kept = _first_of_each(cell.astype(np.int64).tolist(), order.tolist(), settings.beam)
-
-        parent, bend = np.divmod(kept, n_bends)
+        ends = poses.dot(fan.ends).reshape(-1, POSE)  # of the first pose's arcs, then of the second's, …
+        beside = _beside(seen, fan, step)
+        charge, as_border = _charge(beside, worth, open_)
+        ends[:, COST] += np.bincount(beside.arc, charge, len(ends))
+        ends[:, COST] += fan.bending_cost.take(bend, axis=0).ravel()
+        empty = np.bincount(beside.arc, as_border, len(ends)) < BORDER_MIN
+        ends[:, COST] = _costs(ends, empty, known)
+        kept = _keep(ends, settings.beam)
+        parent, bend = np.divmod(kept, len(fan.bends))
         history.append((poses, parent, bend))
         poses = ends.take(kept, axis=0)
         seen = _seen_from(poses, xy)
-        shift = _to_middle(seen, fan.bends.take(bend), nearest)
+        shift = _to_middle(seen, fan.bends.take(bend), worth.nearest_m)
         poses[:, X] -= shift * poses[:, SIN]
         poses[:, Y] += shift * poses[:, COS]
         if len(history) == levels:
             break
         seen[1] -= shift
-        stays_open = np.ones((n_cones, n_arcs), dtype=bool)
-        stays_open.put(pair, as_border <= BORDER_MIN)
+        stays_open = np.ones((len(xy), len(ends)), dtype=bool)
+        stays_open[beside.cone, beside.arc] = as_border <= BORDER_MIN
         open_ = open_.take(parent, axis=1) & stays_open.take(kept, axis=1)
+    # Beyond what is seen one way is as good as another.
+    arcs = min(ARCS_AHEAD, max(ARCS_LEAST, int(known.view_m / step)))
+    return _best(history, poses, fan), _margin(history, poses, max(1, arcs - round(begin.along_m / step)))
 
-    at = 0  # the poses are in the order of their costs
-    last = poses[at, : Y + 1]
+
+class _Worth(Value, frozen=True):
+    """(2 N,) worth of each cone to the left of a chain, and then of each cone to its right."""
+
+    reward: Floats  # as a border there
+    wrong: Floats  # cost there of its colour, or of what lanes found earlier say
+    nearest_m: Floats  # to a pose that it may be a border's cone; inf where it surely is the other border's
+
+
+def _worth(side: Floats) -> _Worth:
+    """Return the worth of cones that are known to stand on these sides of the lane."""
+    agrees = np.array((side, -side))
+    may_stand = agrees > -SURE_SIDE
+    reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY)
+    wrong = COST_WRONG_SIDE * np.maximum(0.0, -agrees)
+    return _Worth(reward.ravel(), wrong.ravel(), np.where(may_stand, NEAREST_M, np.inf).ravel())
+
+
+class _Beside(Value, frozen=True):
+    """(K,) pairs of a cone and an arc: the cone stands between the arc's start and its end, to the left or right."""
+
+    cone: Ints
+    pose: Ints  # where the arc starts
+    arc: Ints  # among the arcs of all poses
+    lateral_m: Floats  # how far the cone is to the left of the arc
+
+
+def _beside(seen: Floats, fan: _Fan, step_m: float) -> _Beside:
+    """Return the cones beside the arcs of poses. seen: (3, N, P) the cones as the poses see them."""
+    ahead, left, _ = seen
+    # Cones further to a pose's front or side are beside none of its arcs.
+    cone, pose = ((ahead >= 0.0) & (np.maximum(ahead, np.abs(left)) < step_m + OUTSIDE_M)).nonzero()
+    from_start = seen[:, cone, pose]
+    from_end_x, from_end_y = fan.into_ends.dot(from_start).reshape(2, len(fan.bends), -1)
+    bend, row = (from_end_x < 0.0).nonzero()
+    x0, y0 = from_start[0].take(row), from_start[1].take(row)
+    x1, y1 = from_end_x[bend, row], from_end_y[bend, row]
+    share = x0 / (x0 - x1)  # of the arc that is before the cone
+    lateral_m = y0 + share * (y1 - y0 - fan.sag.take(bend) * (1.0 - share))
+    cone, pose = cone.take(row), pose.take(row)
+    return _Beside(cone, pose, pose * len(fan.bends) + bend, lateral_m)
+
+
+def _charge(beside: _Beside, worth: _Worth, open_: Bools) -> tuple[Floats, Floats]:
+    """(K,) the cost of each cone to the arc that it stands beside (less than 0: reward), and how much it is a border.
+
+    open_: (N, P) cones that the chain to each pose has not counted yet.
+    """
+    clear, beyond = np.minimum(np.maximum((np.abs(beside.lateral_m) - RAMP_FROM_M) / RAMP_SPAN_M, 0.0), 1.0)
+    of_lane = 1.0 - beyond
+    as_border = clear * of_lane
+    on_side = beside.cone + len(open_) * (beside.lateral_m <= 0.0)
+    charge = (
+        COST_IN_THE_WAY * (1.0 - clear)
+        + worth.wrong.take(on_side) * of_lane
+        - worth.reward.take(on_side) * as_border * open_[beside.cone, beside.pose]
+    )
+    return charge, as_border
+
+
+def _costs(ends: Floats, empty: Bools, known: Known) -> Floats:
+    """(A,) the costs at the arcs' ends, and besides those of arcs out of view, without a border, or driven already."""
+    unseen = np.hypot(ends[:, X], ends[:, Y]) > known.view_m
+    cost = ends[:, COST] + np.where(unseen, -REWARD_UNSEEN, COST_EMPTY * empty)
+    if known.driven_m is not None:
+        dx, dy = ends[:, X, None] - known.driven_m[:, 0], ends[:, Y, None] - known.driven_m[:, 1]
+        cost += COST_DRIVEN * (np.minimum.reduce(dx * dx + dy * dy, axis=1) < DRIVEN_M**2)
+    return cost
+
+
+def _keep(ends: Floats, beam: int) -> Ints:
+    """Return the places of the best arcs, `beam` at most; of chains that end at about the same pose the best alone."""
+    order = ends[:, COST].argsort(kind="stable")[: BEST * beam]
+    cells = np.floor(ends.take(order, axis=0)[:, : HEADING + 1] * CELLS).dot(CELL_NUMBER)
+    first: dict[float, int] = {}  # in each cell. (A tenth of the time of numpy's unique.)
+    for cell, place in zip(cells.tolist(), order.tolist(), strict=True):
+        first.setdefault(cell, place)
+        if len(first) == beam:
+            break
+    return np.array(list(first.values()))
+
+
+def _best(history: History, poses: Floats, fan: _Fan) -> Floats:
+    """(M, 2) points every quarter of an arc along the best chain. poses: at the chains' ends, the best first."""
+    at = 0
     chain: list[tuple[float, ...]] = []  # of each arc, the last one first: where it starts, and its bend
     for starts, parent, bend in reversed(history):
         start = int(parent[at])
@@ -364,13 +407,11 @@ def _search(
     turn = heading + 0.5 * along * curvature
     points = np.empty((turn.size + 1, 2))
     points[:-1, 0], points[:-1, 1] = (x + along * np.cos(turn)).ravel(), (y + along * np.sin(turn)).ravel()
-    points[-1] = last
-    # Beyond what is seen one way is as good as another.
-    arcs = min(ARCS_AHEAD, max(ARCS_LEAST, int(unseen_m / step)))
-    return points, _margin(history, poses, max(1, arcs - round(begin.along_m / step)))
+    points[-1] = poses[0, : Y + 1]
+    return points
 
 
-def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats, arcs: int) -> float:
+def _margin(history: History, poses: Floats, arcs: int) -> float:
     """Return how much more than the best chain the best chain costs that is elsewhere after so many arcs.
 
     poses: at the chains' ends, the best first.
@@ -393,19 +434,6 @@ def _seen_from(poses: Floats, xy: Floats) -> Floats:
     np.subtract(dy * cos, dx * sin, out=seen[1])
     seen[2] = 1.0
     return seen
-
-
-def _first_of_each(cells: list[int], places: list[int], most: int) -> Ints:
-    """The first place in each cell, in the order given, `most` at most. (A tenth of the time of numpy's unique.)"""
-    seen: set[int] = set()
-    kept: list[int] = []
-    for cell, place in zip(cells, places, strict=True):
-        if cell not in seen:
-            seen.add(cell)
-            kept.append(place)
-            if len(kept) == most:
-                break
-    return np.array(kept)
 
 
 def _to_middle(seen: Floats, bend: Floats, nearest: Floats) -> Floats:

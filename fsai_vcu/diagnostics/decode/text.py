@@ -101,34 +101,42 @@ class SignalText:
         return texts_of(self.texts(raw.tolist(), values.tolist()))
 
 
-# Names and words in short lines: 0x520 with a fault is to fit beside its frame.
-_SHORTER: Final = tuple(
-    (re.compile(long), short)
-    for long, short in (
-        ("SHUTDOWN_CAUSE (.*?)(_FAULT|_REQUEST)?$", r"CAUSE=\1"),
-        ("SHUTDOWN_REQUEST", "SHUTDOWN"),
-        ("TS_SHUTDOWN", "TS_SHUT"),
-        ("EBS_TRIGGERED", "EBS_TRIG"),
-        ("HANDSHAKE", "HS"),
-        ("([AT]S)_SWITCH", r"\1MS"),
-        ("STEERING ACTIVE", "STEERING"),
-        ("EMERGENCY_BRAKE", "EBRAKE"),
-        ("ACCELERATION$", "ACCEL"),
-        ("AUTOCROSS", "AUTOX"),
-        ("TRACK DRIVE", "TRACK"),
-        ("STATIC INSPECTION ", "INSP_"),
-        ("AUTONOMOUS[ _]", ""),
-        ("WARNING", "WARN"),
-        ("WARN_BATT_TEMP_HIGH", "BATT_HOT"),
-        ("WARN_BATT_SOC_LOW", "SOC_LOW"),
-        ("CHARGE_PROCEDURE", "CHARGING"),
-        ("OFFBOARD_CHARGER", "CHARGER"),
-        ("PLAUSIBILITY", "PLAUS"),
-        ("MISSION_STATUS", "MISSION"),
-        ("AI_ESTOP_REQUEST", "AI_ESTOP"),
-        ("_FAULT$", "!"),
-    )
-)
+# In short lines 0x520 with a fault is to fit beside its frame: what a signal says, and in short. X_FAULT is X!.
+_SHORT: Final = {
+    "HANDSHAKE": "HS",
+    "AS_SWITCH": "ASMS",
+    "TS_SWITCH": "TSMS",
+    "STEERING ACTIVE": "STEERING",
+    "EMERGENCY_BRAKE": "EBRAKE",
+    "SM_AS AS_EMERGENCY_BRAKE": "SM_AS AS_EBRAKE",
+    "State_ASSI EMERGENCY_BRAKE": "State_ASSI EBRAKE",
+    "ACCELERATION": "ACCEL",
+    "AUTOCROSS": "AUTOX",
+    "TRACK DRIVE": "TRACK",
+    "STATIC INSPECTION A": "INSP_A",
+    "STATIC INSPECTION B": "INSP_B",
+    "AUTONOMOUS DEMO": "DEMO",
+    "TS_SHUTDOWN": "TS_SHUT",
+    "EBS_TRIGGERED": "EBS_TRIG",
+    "WARNING": "WARN",
+    "WARN_BATT_TEMP_HIGH": "BATT_HOT",
+    "WARN_BATT_SOC_LOW": "SOC_LOW",
+    "WARN_BRAKE_PLAUSIBILITY": "WARN_BRAKE_PLAUS",
+    "R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR": "R1_AI2VCU_STATUS_HS_TIMEOUT_ERROR",
+    "SHUTDOWN_REQUEST": "SHUTDOWN",
+    "AI_ESTOP_REQUEST": "AI_ESTOP",
+    "OFFBOARD_CHARGER": "CHARGER",
+    "AUTONOMOUS_BRAKING": "BRAKING",
+    "MISSION_STATUS": "MISSION",
+    "CHARGE_PROCEDURE": "CHARGING",
+    "BRAKE_PLAUSIBILITY": "BRAKE_PLAUS",
+}
+
+
+def _shortened(text: str) -> str:
+    """Return the text in short."""
+    name = text.removesuffix("_FAULT")
+    return _SHORT.get(name, name) + ("!" if name != text else "")
 
 
 class ShortText(SignalText):
@@ -146,18 +154,16 @@ class ShortText(SignalText):
 
     def texts(self, raws: Sequence[float], values: Sequence[float]) -> Sequence[str]:
         texts = super().texts(raws, values)
-        return [self._shorter(self._text(raw, text)) if raw else "" for raw, text in zip(raws, texts, strict=True)]
-
-    @staticmethod
-    def _shorter(text: str) -> str:
-        for long, short in _SHORTER:
-            text = long.sub(short, text)
-        return text
+        return [f" {self._text(raw, text)}" if raw else "" for raw, text in zip(raws, texts, strict=True)]
 
     def _text(self, raw: float, text: str) -> str:
+        if self._flag:
+            return _shortened(self._name)
+        if self._layout.name == "SHUTDOWN_CAUSE":
+            return f"CAUSE={_shortened(text.removesuffix('_FAULT').removesuffix('_REQUEST'))}"
         if raw in self._words:
-            return f" {self._name}" if self._flag else f" {text}" if self._alone else f" {self._name} {text}"
-        return f" {self._name}" if self._flag else f" {self._layout.name} {text}{'' if self._words else self._unit}"
+            return _shortened(text if self._alone else f"{self._name} {text}")
+        return f"{_SHORT.get(self._layout.name, self._layout.name)} {text}{'' if self._words else self._unit}"
 
 
 def _one_line(text: str) -> str:

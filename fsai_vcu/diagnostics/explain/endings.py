@@ -93,31 +93,34 @@ def _emergency(record: Record, span: Span) -> Incident:
         names.insert(0, f"SHUTDOWN_CAUSE {label(sig.SHUTDOWN_CAUSE, cause)}")
     came = f"{before} → EMERGENCY_BRAKE" if before else "EMERGENCY_BRAKE"
     end = sig.AS_STATE.step(t_ns, f"AS_STATE {came}{'; ' if names else ''}{', '.join(names)}")
-    candidates: list[Candidate] = []
-    reported = _reported(record, span)
-    for slug, sureness in reported.items():
-        candidates += CHAINS.get(slug, _plain)(record, t_ns, slug, sureness)
-    driven = span.before == sig.DRIVING
-    if driven:
-        candidates += switched(record, "asms_off", sig.AS_SWITCH, t_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off")
-    radio = list(_radio(record, t_ns))
-    with_radio = any(one.slug == "radio_lost" and one.sureness is Sureness.SHOWN for one in radio)
-    if driven and not with_radio and not record.like_official_simulator:
-        candidates += switched(record, "go_off", sig.GO, t_ns, "GO_SIGNAL 1 → 0")
-    candidates += radio
-    if not reported:
-        candidates += _unreported(record, t_ns) if driven else []
-        losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
-        losses += _still(record, t_ns, Sureness.FITS) if driven and not losses else []
-        candidates += [one for one in losses if t_ns - one.t_ns <= BEHIND_NS]
-        candidates += _simulators_brake(record, t_ns)
-    candidates += _impossible(span)
-    if not candidates or (span.before is None and not reported):
-        candidates += _nothing_shown(record, span)
-    chains = ranked(candidates)
+    chains = ranked(_emergency_causes(record, span))
     what = f"EMERGENCY_BRAKE{f' in {before}' if before else ''}"
     ended = tuple(candidate(one.slug, one.sureness, *_marks(record, one), *one.steps, end) for one in chains)
     return Incident(IncidentKind.EMERGENCY, t_ns, what, ended, planned=chains[0].slug == "planned_end", lasted=span[:2])
+
+
+def _emergency_causes(record: Record, span: Span) -> list[Candidate]:
+    """Return the causes of an entry into EMERGENCY_BRAKE: those that the car reports, then those that frames show."""
+    t_ns, driven, reported = span.begin_ns, span.before == sig.DRIVING, _reported(record, span)
+    found: list[Candidate] = []
+    for slug, sureness in reported.items():
+        found += CHAINS.get(slug, _plain)(record, t_ns, slug, sureness)
+    radio = list(_radio(record, t_ns))
+    if driven:
+        found += switched(record, "asms_off", sig.AS_SWITCH, t_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off")
+        # Go vanishes with the remote's radio, too.
+        with_radio = any(one.slug == "radio_lost" and one.sureness is Sureness.SHOWN for one in radio)
+        if not with_radio and not record.like_official_simulator:
+            found += switched(record, "go_off", sig.GO, t_ns, "GO_SIGNAL 1 → 0")
+    found += radio
+    if not reported:
+        found += _unreported(record, t_ns) if driven else []
+        found += _lost_link(record, t_ns, driven)
+        found += _simulators_brake(record, t_ns)
+    found += _impossible(span)
+    if not found or (span.before is None and not reported):
+        found += _nothing_shown(record, span)
+    return found
 
 
 def _marks(record: Record, one: Candidate) -> list[ChainLink]:
@@ -353,6 +356,14 @@ def _unreported(record: Record, t_ns: int) -> list[Candidate]:
             found += _turning(record, t_ns, slug, Sureness.SHOWN)
     both = _both_asked(record, t_ns)
     return found if both is None else [*found, shown("torque_with_brake", both)]
+
+
+def _lost_link(record: Record, t_ns: int, driven: bool) -> list[Candidate]:
+    """The link's loss as the frames show it, where the car does not report it."""
+    losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
+    if driven and not losses:
+        losses = _still(record, t_ns, Sureness.FITS)
+    return [one for one in losses if t_ns - one.t_ns <= BEHIND_NS]
 
 
 def _failed(record: Record, t_ns: int) -> Iterator[Candidate]:

@@ -7,6 +7,7 @@ own checks are run over the log.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, Final
 
@@ -214,64 +215,92 @@ def accumulators(record: Record, t_ns: int) -> list[ChainLink]:
 def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: bool) -> list[Candidate]:
     """Everything on the bus that makes a careful AI computer ask for an emergency (or, else, stop) at `t_ns`."""
     found: list[Candidate] = []
-
-    def add(reason: Reason, since_ns: int, words: str, can_id: int | None = None, signal: str = "") -> None:
-        found.append(shown(reason.slug, ChainLink(since_ns, words, can_id, signal)))
-
-    def add_gap(reason: Reason, can_id: int, patience_ns: int) -> bool:
-        gap = gap_at(record, can_id, t_ns, patience_ns)
-        if gap is not None:
-            end = ", to the end of the log" if gap.end_ns is None else ""
-            words = f"the last 0x{can_id:03X} before {ms(gap.length_ns)} without it{end}"
-            add(reason, gap.begin_ns, words, can_id)
-        return gap is not None
-
+    feedback_ns, implausible_ns = CONFIG.feedback_stale_ns, CONFIG.implausible_ns
     if emergency:
-        for other in record.second_senders:
-            if other.begin_ns <= t_ns and t_ns - other.begin_ns <= INTRUDER_NS:
-                add(Reason.INTRUDER, other.begin_ns, other.words, other.can_ids[0])
-                break
-        add_gap(Reason.VCU_SILENT, 0x520, CONFIG.vcu_lost_ns)
-    patience = CONFIG.feedback_lost_ns if emergency else CONFIG.feedback_stale_ns
+        feedback_ns, implausible_ns = CONFIG.feedback_lost_ns, CONFIG.implausible_lost_ns
+        found += _intruder(record, t_ns)
+        found += _missing(record, t_ns, 0x520, Reason.VCU_SILENT, CONFIG.vcu_lost_ns)
     for can_id, reason in ((0x525, Reason.WHEELS_STALE), (0x523, Reason.STEERING_STALE)):
-        if not add_gap(reason, can_id, patience) and not emergency and not record.has(can_id):
-            add(reason, drive_begin_ns, f"0x{can_id:03X} never comes", can_id)
-    found += _not_believed(record, t_ns, patience)
+        missing = _missing(record, t_ns, can_id, reason, feedback_ns)
+        if not missing and not emergency and not record.has(can_id):
+            missing = [shown(reason.slug, ChainLink(drive_begin_ns, f"0x{can_id:03X} never comes", can_id))]
+        found += missing
+    found += _not_believed(record, t_ns, feedback_ns)
     found += dead_bus(record, t_ns, Sureness.SHOWN)
-    implausible_ns = CONFIG.implausible_lost_ns if emergency else CONFIG.implausible_ns
     found += _implausible(record, t_ns, drive_begin_ns, implausible_ns)
+    found += _paused(record, t_ns)
+    if errors := record.errors_before(t_ns, BUS_NS):
+        words = f"{len(errors)} error frames within {ms(t_ns - errors[0])} before"
+        found.append(shown(Reason.BUS_LOST.slug, ChainLink(errors[0], words)))
+    return found + (_ineffective(record, t_ns) if emergency else _changed(record, t_ns))
+
+
+def _intruder(record: Record, t_ns: int) -> list[Candidate]:
+    """The first sender besides the AI computer that came just before `t_ns`."""
+    for other in record.second_senders:
+        if 0 <= t_ns - other.begin_ns <= INTRUDER_NS:
+            return [shown(Reason.INTRUDER.slug, ChainLink(other.begin_ns, other.words, other.can_ids[0]))]
+    return []
+
+
+def _missing(record: Record, t_ns: int, can_id: int, reason: Reason, patience_ns: int) -> list[Candidate]:
+    """A message of the car that was missing for that long."""
+    gap = gap_at(record, can_id, t_ns, patience_ns)
+    if gap is None:
+        return []
+    end = ", to the end of the log" if gap.end_ns is None else ""
+    words = f"the last 0x{can_id:03X} before {ms(gap.length_ns)} without it{end}"
+    return [shown(reason.slug, ChainLink(gap.begin_ns, words, can_id))]
+
+
+def _paused(record: Record, t_ns: int) -> list[Candidate]:
+    """The first pause of the AI computer's own cycle among its last five 0x510."""
     times = record.times(0x510)
     recent = times[: np.searchsorted(times, t_ns, side="right")][-5:].tolist()
-    for begin_ns, end_ns in [pair for pair in pairwise(recent) if pair[1] - pair[0] >= CONFIG.send_lost_ns][:1]:
-        words = f"the AI computer itself paused for {ms(end_ns - begin_ns)} (its cycle is 10 ms)"
-        add(Reason.LOOP_FAULT, begin_ns, words, 0x510)
-    if errors := record.errors_before(t_ns, BUS_NS):
-        add(Reason.BUS_LOST, errors[0], f"{len(errors)} error frames within {ms(t_ns - errors[0])} before")
-    if emergency:
-        return [*found, *_ineffective(record, t_ns)]
-    for signal, reason, falls in (
-        (sig.GO, Reason.GO_OFF, True),
-        (sig.FAULT_STATUS, Reason.FAULT_STATUS, False),
-        (sig.AS_SWITCH, Reason.AS_SWITCH_OFF, True),
-        (sig.TS_SWITCH, Reason.TS_SWITCH_OFF, True),
-        (sig.SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
-        *((fault, Reason.FAULT_BIT, False) for fault in sig.FAULTS),
-        (sig.SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
-    ):
-        for span in record.changes(signal, t_ns - 100 * MS, t_ns):
-            if (span.value if falls else span.before) == 0.0:
-                words = f"{signal.name} becomes {label(signal, span.value)}"
-                add(reason, span.begin_ns, words, signal.can_id, signal.name)
-    for signal, reason, sound in (
-        (sig.EBS_STATE, Reason.STATE_FAULT, set(EbsState) - {EbsState.EBS_FAULT}),
-        (sig.TS_STATE, Reason.STATE_FAULT, set(TsState) - {TsState.TS_FAULT}),
-        (sig.OP_STATE, Reason.STATE_FAULT, set(OpState) - {OpState.OP_FAULT}),
-        (sig.AMI, Reason.AMI_CHANGED, frozenset[float]()),
-    ):
-        for span in record.changes(signal, t_ns - 100 * MS, t_ns):
-            if span.value not in sound:
-                words = f"{signal.name} {label(signal, span.before)} → {label(signal, span.value)}"
-                add(reason, span.begin_ns, words, signal.can_id, signal.name)
+    for begin_ns, end_ns in pairwise(recent):
+        if end_ns - begin_ns >= CONFIG.send_lost_ns:
+            words = f"the AI computer itself paused for {ms(end_ns - begin_ns)} (its cycle is 10 ms)"
+            return [shown(Reason.LOOP_FAULT.slug, ChainLink(begin_ns, words, 0x510))]
+    return []
+
+
+def _falls(span: Span) -> bool:
+    return span.value == 0.0
+
+
+def _rises(span: Span) -> bool:
+    return span.before == 0.0
+
+
+def _to_none_of(*sound: float) -> Callable[[Span], bool]:
+    return lambda span: span.value not in sound
+
+
+_BECOMES, _FROM_TO = "{name} becomes {after}", "{name} {before} → {after}"
+# Changes for which the AI computer stops: the signal, the reason, the test of a change, and its words
+_CHANGES: Final[tuple[tuple[Signal, Reason, Callable[[Span], bool], str], ...]] = (
+    (sig.GO, Reason.GO_OFF, _falls, _BECOMES),
+    (sig.FAULT_STATUS, Reason.FAULT_STATUS, _rises, _BECOMES),
+    (sig.AS_SWITCH, Reason.AS_SWITCH_OFF, _falls, _BECOMES),
+    (sig.TS_SWITCH, Reason.TS_SWITCH_OFF, _falls, _BECOMES),
+    (sig.SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, _rises, _BECOMES),
+    *((fault, Reason.FAULT_BIT, _rises, _BECOMES) for fault in sig.FAULTS),
+    (sig.SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, _rises, _BECOMES),
+    (sig.EBS_STATE, Reason.STATE_FAULT, _to_none_of(*set(EbsState) - {EbsState.EBS_FAULT}), _FROM_TO),
+    (sig.TS_STATE, Reason.STATE_FAULT, _to_none_of(*set(TsState) - {TsState.TS_FAULT}), _FROM_TO),
+    (sig.OP_STATE, Reason.STATE_FAULT, _to_none_of(*set(OpState) - {OpState.OP_FAULT}), _FROM_TO),
+    (sig.AMI, Reason.AMI_CHANGED, _to_none_of(), _FROM_TO),
+)
+
+
+def _changed(record: Record, t_ns: int) -> list[Candidate]:
+    """Changes in 0x520 just before `t_ns` for which the AI computer stops."""
+    found = []
+    for signal, reason, stops, words in _CHANGES:
+        for span in filter(stops, record.changes(signal, t_ns - 100 * MS, t_ns)):
+            before, after = label(signal, span.before), label(signal, span.value)
+            step = signal.step(span.begin_ns, words.format(name=signal.name, before=before, after=after))
+            found.append(shown(reason.slug, step))
     return found
 
 

@@ -92,6 +92,10 @@ class Spans(Sequence[Span]):
         """Yield the spans of this value."""
         return map(self.__getitem__, np.flatnonzero(self.values == value).tolist())
 
+    def beginning(self, begin_ns: Ints, which: Mask) -> list[Span]:
+        """Return the spans selected, each beginning at its time in `begin_ns`."""
+        return [self[row]._replace(begin_ns=int(begin_ns[row])) for row in np.flatnonzero(which).tolist()]
+
     def between(self, low: int, high: int) -> Iterator[Span]:
         """Return the spans of the slice."""
         apart = self.apart[low : high + 1].tolist()
@@ -503,44 +507,48 @@ class Record:
 
     @cached_property
     def _standing(self) -> tuple[Sequence[Span], Sequence[Span]]:
-        """Find the spans of `frozen` and those of `perhaps_frozen`."""
-        asked, echo, times = self.series(sig.HANDSHAKE).spans, self.series(sig.ECHO), self.times(sig.STATUS)
+        """Find the spans of `frozen` and those of `perhaps_frozen`: spans of HANDSHAKE, each from its echo on."""
+        asked, times = self.series(sig.HANDSHAKE).spans, self.times(sig.STATUS)
         if len(times) < 2 or np.median(np.diff(times)) > 1.5 * PERIOD_NS:
             return (), ()
-        state, switch, system = map(self.series, (sig.AS_STATE, sig.AS_SWITCH, sig.SM_SYS))
-        begun = np.arange(len(asked)) > 0
-        last_ns = asked.end_ns - 1
-        states = state.sampled(last_ns)
-        on = switch.sampled(last_ns) != 0
-        may = ~np.isin(states, (sig.EMERGENCY, sig.FINISHED)) & (
-            begun | (asked.values != 0) | (states != AsState.AS_INIT)
-        )
-        if len(system):
-            may &= system.sampled(last_ns) == sig.DRIVE_AUTONOMOUS
-        due, perhaps = may & on, may & ~on
-        due |= np.isin(states, (sig.READY, sig.DRIVING))
-        missed = self.series(sig.COMMS_LOST).sampled(last_ns) != 0
+        last_ns = asked.end_ns - 1  # of each span
+        toggled = np.arange(len(asked)) > 0  # the first span does not begin with a toggle
+        due, by_hand = self._toggle_due(asked, toggled, last_ns)
+        echo, state, switch = map(self.series, (sig.ECHO, sig.AS_STATE, sig.AS_SWITCH))
         echoed_ns = first_echoes(asked.begin_ns, asked.values.astype(np.int64), echo.t_ns, echo.values)
         since_ns = np.maximum.reduce([echoed_ns, state.since(last_ns), switch.since(last_ns)])
-        spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]  # an adapter's batch is one sign of life
-
-        def stood_ns(since_ns: Ints) -> Ints:
-            came = np.searchsorted(spread, asked.end_ns) - np.searchsorted(spread, since_ns)
-            stood: Ints = np.minimum(asked.end_ns - since_ns, came * PERIOD_NS)
-            return stood
-
+        frozen = due & (self._came_ns(since_ns, asked.end_ns) >= np.where(toggled, COMMS_LOST_NS, S))
+        # When 0x520 last came with another content than before
         changes_ns = times[np.diff(self.frames.word[self._rows[sig.STATUS]], prepend=np.uint64(0)) != 0]
-        same_ns = np.maximum(since_ns, np.append(-S, changes_ns)[np.searchsorted(changes_ns, last_ns, side="right")])
+        changed_ns = np.append(-S, changes_ns)[np.searchsorted(changes_ns, last_ns, side="right")]
+        same_ns = np.maximum(since_ns, changed_ns)
+        perhaps = by_hand & (self._came_ns(same_ns, asked.end_ns) >= S)
+        return asked.beginning(since_ns, frozen), asked.beginning(same_ns, perhaps)
 
-        def spans(which: Mask, since_ns: Ints) -> list[Span]:
-            return [
-                asked[row]._replace(begin_ns=int(since_ns[row])) for row in np.flatnonzero(which & ~missed).tolist()
-            ]
+    def _toggle_due(self, asked: Spans, toggled: Mask, last_ns: Ints) -> tuple[Mask, Mask]:
+        """Select the spans of HANDSHAKE that must end soon after their echo, and those that must unless driven by hand.
 
-        return (
-            spans(due & (stood_ns(since_ns) >= np.where(begun, COMMS_LOST_NS, S)), since_ns),
-            spans(perhaps & ~due & (stood_ns(same_ns) >= S), same_ns),
+        The state and the switches are those at `last_ns` of each span.
+        """
+        state, on, lost = (
+            self.series(signal).sampled(last_ns) for signal in (sig.AS_STATE, sig.AS_SWITCH, sig.COMMS_LOST)
         )
+        over = np.isin(state, (sig.EMERGENCY, sig.FINISHED))
+        coming_up = ~toggled & (asked.values == 0) & (state == AsState.AS_INIT)
+        may = ~over & ~coming_up
+        system = self.series(sig.SM_SYS)
+        if len(system):
+            may &= system.sampled(last_ns) == sig.DRIVE_AUTONOMOUS
+        due = may & (on != 0) | np.isin(state, (sig.READY, sig.DRIVING))
+        missed = lost != 0  # the VCU waits for an echo that it did not receive
+        return due & ~missed, may & ~due & ~missed
+
+    def _came_ns(self, begin_ns: Ints, end_ns: Ints) -> Ints:
+        """Return how long 0x520 came between these times: a cycle for each frame, an adapter's batch being one."""
+        times = self.times(sig.STATUS)
+        spread = times[np.diff(times, prepend=-PERIOD_NS) > PERIOD_NS // 2]
+        came = np.searchsorted(spread, end_ns) - np.searchsorted(spread, begin_ns)
+        return np.asarray(np.minimum(end_ns - begin_ns, came * PERIOD_NS))
 
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:
