@@ -61,4 +61,6 @@ def speed_profile(
         return whole
     left_m = np.maximum(stop_m - along, 0.0)
     gentle_m = np.minimum(left_m, GENTLE_END_M)
-    return np.minimum(whole, 2.0 * (min(GENTLE_STOP_MPS2, stopping) * gentle_m + stopping * (left_m - gentle_m)))
+    stop: Floats = 2.0 * (min(GENTLE_STOP_MPS2, stopping) * gentle_m + stopping * (left_m - gentle_m))
+    profile: Floats = np.minimum(whole, stop)
+    return profile

@@ -121,6 +121,9 @@ def _reported(transition: _Transition) -> _Transition:
 class VcuBridge(LifecycleNode):
     """Node between ROS and the CAN loop. Its constructor raises NodeError when it starts by itself and cannot."""
 
+    # Kilted's context destroys a node whose constructor has raised, too.
+    _process: LoopHandle | None = None  # of the loop, from configuring to cleaning up
+    _missions: MissionServer | None = None
     tells_systemd = True  # the CAN loop does: its watchdog is fed by cycles that met their deadline, by nothing else
 
     def __init__(self, **options: object) -> None:
@@ -132,7 +135,6 @@ class VcuBridge(LifecycleNode):
         self._settings = Settings(self, SETTINGS, lambda _name: None, self._why_fixed)
         self._clocks = Clocks(self)
         self._configured: LoopSettings | None = None
-        self._process: LoopHandle | None = None  # of the loop, from configuring to cleaning up
         self._loop: LoopHandle | None = None  # the same while the node is active
         self._loop_silent = False  # it should report and does not
         self._news, self._culprit = News(), Culprit()
@@ -229,7 +231,8 @@ class VcuBridge(LifecycleNode):
 
     def destroy_node(self) -> None:
         self._end_process()
-        self._missions.destroy()
+        if self._missions is not None:
+            self._missions.destroy()
         super().destroy_node()
 
     def _failed(self, why: str) -> TransitionCallbackReturn:
