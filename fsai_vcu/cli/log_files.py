@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from fsai_vcu.diagnostics.log.filters import name_and_filters
 from fsai_vcu.diagnostics.log.formats import format_of
@@ -14,9 +14,6 @@ from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
 from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.units import S
-
-if TYPE_CHECKING:
-    pass
 
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})
 _BESIDE: Final = frozenset({".json", ".png", ".svg", ".html"})

@@ -18,7 +18,7 @@ from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import open_log
-from fsai_vcu.diagnostics.log.recorded import Recorded, is_virtual, lost_words, recorded
+from fsai_vcu.diagnostics.log.recorded import IN_ORDER, Recorded, is_virtual, lost_words, recorded
 from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.printable import printable
 
@@ -173,6 +173,7 @@ class Sources:
         """
         self.verb = verb
         self.status = 0
+        self._unread = False
         self._several = False  # logs on the command line; one of them alone has its troubles told in full
         self._decoding = decoding
         self._part = part
@@ -204,17 +205,15 @@ class Sources:
         """The sources by clock: a log with a clock of its own is another run, without a common axis with the others."""
         if self.live or len(self._rules) < 2 or not self.files:
             return [self]
-        runs: list[list[tuple[str, FrameFilter]]] = []
-        clocks: list[int] = []  # the last first stamp of each run
+        runs: list[list[tuple[str, FrameFilter]]] = [[]]
+        last_ns: int | None = None  # first stamp of the last log that can be read: those that cannot begin no run
         for rule in self._rules:
             first_ns, _ = first_stamp(Path(rule[0]))
-            unread = first_ns == NOTHING_READ
-            if clocks and (unread or goes_on(clocks[-1], first_ns)):
-                runs[-1].append(rule)
-                clocks[-1] = clocks[-1] if unread else first_ns
-            else:
-                runs.append([rule])
-                clocks.append(0 if unread else first_ns)
+            if first_ns != NOTHING_READ:
+                if last_ns is not None and not goes_on(last_ns, first_ns):
+                    runs.append([])
+                last_ns = first_ns
+            runs[-1].append(rule)
         return [self] if len(runs) == 1 else [self._with(rules) for rules in runs]
 
     def _with(self, rules: list[tuple[str, FrameFilter]]) -> Sources:
@@ -245,7 +244,7 @@ class Sources:
     @property
     def unread(self) -> bool:
         """True where something could not be read or received, other than frames that this machine lost itself."""
-        return bool(self.status) and not self.recorded.lost
+        return self._unread
 
     def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
         """All frames of all logs; of live buses, those of so long or until Ctrl-C.
@@ -297,7 +296,7 @@ class Sources:
     def _log_chunks(self) -> Iterator[Frames]:
         """Yield the frames of the logs, one log after the other, that the filters let through."""
         inside = 0
-        found = Recorded()
+        found: Recorded | None = None
         for name, rule in self._rules:
             count = 0
             with open_log(name) as log:
@@ -309,9 +308,10 @@ class Sources:
                     inside += len(passing)
                     yield passing
             self._report(log, count)
-            found = found.joined(Recorded(log.problems.lost))
-            found = found if name == "-" else found.joined(recorded(Path(name)))
-        self._recorded = lambda: found
+            one = IN_ORDER if name == "-" else recorded(Path(name))
+            one = one._replace(lost=one.lost + log.problems.lost)
+            found = one if found is None else found.joined(one)
+        self._recorded = lambda: found or IN_ORDER
         if self._part and self.first_ns is not None and not inside:
             raise UserError(f"no frame of {self.name} is in that part")
 
@@ -320,7 +320,8 @@ class Sources:
         name, problems = log.name, log.problems
         if self._each is not None and self._several:
             self._each(LogRead(name, log.kind, frames, problems.summary(), problems.note_line()))
-            self.status |= bool(problems) or not frames
+            self._unread |= bool(problems) or not frames
+            self.status |= self._unread
             return
         texts = problems.texts[:_PROBLEMS_SHOWN]
         if not frames:
@@ -333,6 +334,7 @@ class Sources:
         for text in texts:
             self._say(text)
             self.status = 1
+            self._unread = True
         if problems.notes:
             self._say(f"{name}: note: {problems.note_line()}")
 
@@ -369,7 +371,9 @@ class Sources:
                         self._decoding.hear(frames)
                     yield self._chosen(filtered(frames, rules))
             finally:
-                for text in filter(None, [*source.missing(), self.lost_here]):
+                missing = list(source.missing())
+                self._unread |= bool(missing)
+                for text in filter(None, [*missing, self.lost_here]):
                     self._say(text)
                     self.status = 1
 

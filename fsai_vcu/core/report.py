@@ -75,4 +75,4 @@ class BridgeReport(Value, frozen=True):
 def loop_fault_words(count: int) -> str:
     """The clause on a CAN loop that came too late so many times since it began; '' for none."""
     times = f"{count} time{'s' * (count > 1)}"
-    return f"{words_of(Reason.LOOP_FAULT.slug)}, {times} so far: this computer is too busy" if count else ""
+    return f"{words_of(Reason.LOOP_FAULT.slug)}, {times} so far: is this computer too busy?" if count else ""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import os
 import select
 import socket
 import struct
@@ -331,13 +332,14 @@ def _asked(interface: str, request: int) -> int | None:
 
     /sys/class/net need not be mounted, and may be another network namespace's.
     """
-    name = interface.encode()
+    name = os.fsencode(interface)
     if not 0 < len(name) < 16 or b"\0" in name:
         return None
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        try:
+    try:
+        # Any socket is asked: one of this kind is allowed to every service.
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
             answer = fcntl.ioctl(asking, request, _IFREQ.pack(name, 0))
-        except OSError:
-            return None
+    except OSError:
+        return None
     number: int = _IFREQ.unpack(answer)[1]
     return number

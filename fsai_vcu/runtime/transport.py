@@ -62,10 +62,12 @@ def node_ports_taken(domain: int, network: Path = Path("/proc/self/net")) -> boo
     """Return true where a UDP port of this ROS domain is taken on this machine: by a node, or by something else.
 
     Every DDS participant binds one, so that a domain without any has no node here; discovery needs time to say that.
+    True also where the kernel shows no ports.
     """
     ports = range(_FIRST_PORT + domain * _PORTS_OF_A_DOMAIN, _FIRST_PORT + (domain + 1) * _PORTS_OF_A_DOMAIN)
-    lines = chain.from_iterable((network / name).read_text().splitlines()[1:] for name in ("udp", "udp6"))
-    return any(int(line.split()[1].rpartition(":")[2], 16) in ports for line in lines)
+    tables = [path.read_text() for name in ("udp", "udp6") if (path := network / name).is_file()]
+    lines = chain.from_iterable(table.splitlines()[1:] for table in tables)
+    return not tables or any(int(line.split()[1].rpartition(":")[2], 16) in ports for line in lines)
 
 
 def ros_trouble(environ: Mapping[str, str]) -> str:

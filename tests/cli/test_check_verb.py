@@ -97,3 +97,13 @@ def test_logs_of_different_clocks_are_several_runs(tmp_path: Path, capsys: pytes
     assert capsys.readouterr().out.count("\nverdict: ") == 3
     assert main(["report", str(tmp_path), "-o", str(tmp_path / "page.html")]) == 1
     assert "they are 3 runs; name one: " in capsys.readouterr().err
+
+
+def test_a_log_that_cannot_be_read_is_no_run_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.log").touch()
+    lines = (f"({1_790_000_000 + number / 100:.6f}) can0 520#0000000000000000\n" for number in range(150))
+    (tmp_path / "b.log").write_text("".join(lines))
+    for names in ("ab", "ba"):
+        main(["check", *(f"{tmp_path}/{name}.log" for name in names)])
+        out = capsys.readouterr().out
+        assert "run " not in out and out.count("verdict: ") == 1

@@ -145,7 +145,7 @@ def test_everybody_answers_in_the_same_words(begin: Callable[[], Run], act: Act,
     assert [one["text"] for one in state_of(picture)["why_not_driving"]] == monitor
     assert all(f"  - {sentence}\n" in on_the_screen(report) + "\n" for sentence in bridge)
     assert "too busy" not in on_the_screen(report)
-    assert "3 times so far: this computer is too busy" in on_the_screen(report, 3)
+    assert "3 times so far: is this computer too busy?" in on_the_screen(report, 3)
 
 
 def last_first(frames: Frames) -> Frames:

@@ -250,3 +250,23 @@ def test_nobody_drives_on_a_bus_that_returns_a_senders_frames() -> None:
     with pytest.raises(BusError, match=r"its own frames back.*loopback:NAME") as refused:
         open_bus("udp_multicast:239.74.163.2", may_send=AI_IDS)
     assert "\n" not in str(refused.value)
+
+
+def test_a_service_that_may_not_open_ip_sockets_opens_its_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """systemd refuses families that a unit does not name (RestrictAddressFamilies=)."""
+    original = socket.socket
+
+    def refused(family: int = socket.AF_INET, *rest: int, **options: int) -> socket.socket:
+        if family in (socket.AF_INET, socket.AF_INET6):
+            raise OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol")
+        return original(family, *rest, **options)
+
+    monkeypatch.setattr("fsai_vcu.runtime.bus.socket.socket", refused)
+    with pytest.raises(BusError, match="'lo' is a network interface but not a CAN interface"):
+        open_bus("lo")
+
+
+@pytest.mark.parametrize("name", ["can\udcff", "c" * 16, "a\0b"])
+def test_a_name_that_no_interface_can_have_is_an_absent_one(name: str) -> None:
+    with pytest.raises(BusError, match="no CAN interface"):
+        open_bus(name)

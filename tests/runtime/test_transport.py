@@ -71,3 +71,7 @@ def test_a_udp_port_of_a_domain_is_a_sign_of_its_nodes(tmp_path: Path) -> None:
         (tmp_path / "udp").write_text(f"  sl  local_address\n 300: 0100007F:{port:04X} 00000000:0000 07\n")
         assert node_ports_taken(1, tmp_path) is taken, port
     assert node_ports_taken(0, tmp_path)  # 7400, of the IPv6 table
+    (tmp_path / "udp6").unlink()  # a kernel without IPv6
+    assert not node_ports_taken(0, tmp_path)
+    (tmp_path / "udp").unlink()
+    assert node_ports_taken(0, tmp_path), "a kernel that shows none"

@@ -22,6 +22,7 @@ from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.incident import (
     ALWAYS,
+    Candidate,
     ChainLink,
     Explanation,
     Incident,
@@ -39,7 +40,8 @@ from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
-from fsai_vcu.interface.units import ms
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import MS, ms
 
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
@@ -47,14 +49,15 @@ __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry",
 OF_A_STAND: Final = frozenset(
     ("torque_not_given", "no_motion", "brake_unasked", "derated", "derated_hot", "derated_empty")
 )
-# Causes that a computer looks like which ran nothing for a while.
+# Silences, which a computer makes too that runs nothing for a while.
 OF_TIMES: Final = frozenset(
     (
-        *("ai_silent", "ai_message_missing", "ai_comms_lost", "ai_unheard", "ai_computer_request", "stop_asked"),
-        *("handshake_lost", "handshake_stands", "vcu_silent", "vcu_hung", "wheels_stale", "steering_stale"),
-        *("command_stale", "loop_fault", "bus_lost", "backlog"),
+        *("ai_silent", "ai_message_missing", "ai_comms_lost", "ai_unheard", "handshake_lost", "handshake_stands"),
+        *("vcu_silent", "vcu_hung", "wheels_stale", "steering_stale", "command_stale", "bus_lost", "backlog"),
     )
 )
+UNEXPLAINED_NS: Final = COMMS_LOST_NS // 2  # of a silence, beside a stall: more has another cause
+BACK_AT_ONCE_NS: Final = 300 * MS  # after a stall what it silenced is there again
 SEPARATE: Final = 5  # of a kind and cause are told one by one
 MOST_INCIDENTS: Final = 100  # of a kind: a log with more is none of a car
 _TOO_MANY: Final = (
@@ -109,20 +112,33 @@ def _in_its_setting(record: Record, incident: Incident) -> Incident:
 
 
 def _of_a_busy_computer(record: Record, incident: Incident) -> Incident:
-    """The same, with the computer that stood still or lost frames as its cause, where a silence was seen meanwhile."""
+    """Return the incident with the computer that stood still or lost frames as its cause, where that explains it."""
     first = incident.candidates[0]
     if first.slug not in OF_TIMES:
         return incident
     stall = record.recorded.stall(first.t_ns, incident.t_ns)
     if stall is not None:
-        words = f"this computer stands still for {ms(stall[1] - stall[0])}: it runs nothing meanwhile"
-        cause = candidate("stood_still", Sureness.SHOWN, ChainLink(stall[0], words), *first.steps)
+        words = f"a processor of this computer stands still for {ms(stall[1] - stall[0])}"
+        link = ChainLink(stall[0], words)
+        if not _explains(record, stall, first, incident.t_ns):
+            possible = candidate("stood_still", Sureness.POSSIBLE, link)
+            return replace(incident, candidates=(*incident.candidates, possible))
+        cause = candidate("stood_still", Sureness.SHOWN, link, *first.steps)
     elif record.recorded.lost and first.slug == "bus_lost":
         cause = candidate("frames_lost_here", Sureness.FITS, *first.steps)
     else:
         return incident
     others = (one for one in incident.candidates if one.slug not in OF_TIMES)
     return replace(incident, candidates=(cause, *others))
+
+
+def _explains(record: Record, stall: tuple[int, int], first: Candidate, t_ns: int) -> bool:
+    """True where the silence is that of the stall: next to nothing of it is left beside, and it ends with it."""
+    shared_ns = min(stall[1], t_ns) - max(stall[0], first.t_ns)
+    silent = first.steps[0].can_id
+    times = record.frames.t_ns if silent is None else record.times(silent)
+    back = np.searchsorted(times, stall[1] + BACK_AT_ONCE_NS) > np.searchsorted(times, stall[1])
+    return t_ns - first.t_ns - shared_ns < UNEXPLAINED_NS and bool(back)
 
 
 def _told_by(other: Incident, one: Incident) -> bool:

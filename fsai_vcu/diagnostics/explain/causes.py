@@ -66,7 +66,7 @@ _RECORD: Final[Mapping[str, str]] = {
 """Frames to record next time."""
 
 _OWN: Final[Mapping[str, str]] = {
-    "stood_still": "this computer stood still: it was too busy for real time",
+    "stood_still": "a processor of this computer stood still: it was too busy for real time",
     "frames_lost_here": "this computer lost frames while it recorded: the log does not show what came",
     "ai_computer_request": "the AI computer asked for it (ESTOP_REQUEST 1)",
     "hvil_open": "the high-voltage interlock is open (HVIL_OPEN_FAULT)",

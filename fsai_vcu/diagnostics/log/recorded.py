@@ -37,7 +37,7 @@ class Recorded(NamedTuple):
     def joined(self, other: Recorded) -> Recorded:
         """The same of both logs together."""
         both = (*self.stalls_ns, *other.stalls_ns)
-        return Recorded(self.lost + other.lost, both, self.virtual or other.virtual)
+        return Recorded(self.lost + other.lost, both, self.virtual and other.virtual)
 
     def within(self, begin_ns: float, end_ns: float) -> Recorded:
         """The same, with the stalls that have a moment in that time."""
@@ -55,7 +55,7 @@ class Recorded(NamedTuple):
             return ""
         longest = max(end_ns - begin_ns for begin_ns, end_ns in self.stalls_ns)
         more = f" (the longest of {len(self.stalls_ns)} times)" if len(self.stalls_ns) > 1 else ""
-        return f"this computer stood still for {ms(longest)}{more}"
+        return f"a processor of this computer stood still for {ms(longest)}{more}"
 
 
 IN_ORDER: Final = Recorded()
@@ -86,15 +86,16 @@ def recorded(log: Path) -> Recorded:
 
 
 def note_stalls(folder: Path, stalls_ns: Iterable[tuple[int, int]]) -> None:
-    """Write into the file beside each log of a folder when this computer stood still; [] where it never did.
+    """Add to the file beside each log of a folder when this computer stood still; [] where it never did.
 
     stalls_ns: from and to, in ns since 1970. A file that cannot be changed is left as it is.
     """
-    noted = [list(each) for each in stalls_ns][:_MOST_STALLS]
+    new = list(stalls_ns)
     for log in folder.glob("*.log"):
         with suppress(OSError, ValueError, RecursionError), open_found(_beside(log), write=True) as file:
             about = json.loads(file.read(SETTINGS_BYTES))
             if isinstance(about, dict) and LOST_HERE in about:
+                noted = sorted({*_stalls(about.get(STOOD_STILL)), *new})[-_MOST_STALLS:]
                 text = json.dumps(about | {STOOD_STILL: noted}, indent=2) + "\n"
                 file.seek(0)
                 file.write(text.encode())
@@ -106,7 +107,7 @@ def _beside(log: Path) -> Path:
 
 
 def _is_count(value: Any) -> TypeGuard[int]:
-    return isinstance(value, int) and 0 <= value < _MOST_LOST
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _MOST_LOST
 
 
 def _stalls(noted: Any) -> Iterator[tuple[int, int]]:

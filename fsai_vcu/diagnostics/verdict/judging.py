@@ -62,7 +62,6 @@ SAID_BY: Final[Mapping[str, tuple[str, ...]]] = {
 }
 # in which a handshake is lost too
 NO_ECHO: Final = frozenset({"ai_silent", "ai_bus_off", "bus_lost", "handshake_lost", "echo_wrong", "vcu_hung"})
-_INCIDENTS: Final = frozenset(kind.slug for kind in IncidentKind)
 SHORT_NS: Final = 1 * S
 
 
@@ -114,6 +113,8 @@ def judged(
     whole.begin_ns = whole.begin_ns if begin_ns is None else begin_ns
     part_ns = part.bounds(whole.begin_ns)
     whole.recorded = recorded.within(max(part_ns[0], whole.begin_ns), min(part_ns[1], whole.end_ns))
+    if whole.clock_set:  # the stalls have the clock's first times
+        whole.recorded = whole.recorded._replace(stalls_ns=())
     notes += [step.finding(whole.channel) for step in steps if part_ns[0] <= step.t_ns <= part_ns[1]]
     if part_ns != ALWAYS:
         t_ns, back_ns = straightened(frames.t_ns)
@@ -131,9 +132,9 @@ def judged(
         one for one in verdict.findings if not ((unknown and by_times(one)) or of_the_recording(one, whole.recorded))
     ]
     unknown += [lost_words(whole.recorded.lost)] if whole.recorded.lost else []
-    # A run in which nothing went wrong is one that the computer's standing still did not touch.
     if standstill := whole.recorded.standstill:
-        touched = len(findings) < len(verdict.findings) or any(one.kind in _INCIDENTS for one in findings)
+        causes = (incident.candidates[0].slug for incident in verdict.explanation.incidents)
+        touched = len(findings) < len(verdict.findings) or "stood_still" in causes
         unknown += [f"{standstill}: it was too busy, so this run is not judged"] if touched else []
         notes += [] if touched else [Finding("note", "busy", standstill)]
     findings = sorted([*findings, *notes], key=lambda one: (one.severity != "problem", one.t_ns or 0))
