@@ -67,7 +67,7 @@ def test_a_computer_that_stood_still_is_the_cause_of_the_silence(
 
 
 @pytest.mark.parametrize(("begin_ms", "end_ms"), [(-50, 1), (2, 97)])
-def test_a_program_that_never_comes_back_is_not_excused_by_a_stall(
+def test_a_program_that_stays_away_is_not_excused_by_a_stall(
     begin_ms: int, end_ms: int, silent: tuple[Frames, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     frames, silent_ns = silent

@@ -506,7 +506,9 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     stand: Stand | None = stood(record, span.begin_ns, last_ns(span))
     over = record.span_at(sig.MISSION_STATUS, span.end_ns)
     over_ns = span.end_ns if over is None else over.begin_ns
-    candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if span.before is not None else []
+    found = found_before(record, over_ns, span.begin_ns, emergency=False) if span.before is not None else []
+    # What had lasted for long when the mission was over did not end it.
+    candidates = [one for one in found if over_ns - one.t_ns <= BEHIND_NS]
     # A start that should not have been comes before all that it brought about.
     wrong = _start_was_wrong(record, span) if wheels.max() < STANDING_RPM and span.before is not None else []
     if stand is not None and not stand.driven:
@@ -514,9 +516,9 @@ def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     elif wheels.max() < STANDING_RPM and span.before is not None and record.at(sig.AMI, span.end_ns) not in INSPECTIONS:
         step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
         candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
-    if found := (*wrong, *ranked(candidates)):
+    if told := (*wrong, *ranked(candidates)):
         what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
-        yield Incident(IncidentKind.STOP, over_ns, what, found, lasted=span[:2])
+        yield Incident(IncidentKind.STOP, over_ns, what, told, lasted=span[:2])
 
 
 def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
