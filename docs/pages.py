@@ -445,6 +445,15 @@ def shown() -> str:
     return _table(("what was done", "command", "result"), ((done, f"`{how}`", said) for done, how, said in rows))
 
 
+def explained() -> str:
+    """The score of the explanations, in a sentence."""
+    told = re.findall(
+        r"^\| ([a-z ]+) \| (\d+) \| (\d+) \| \d+ \| \d+ \| (\d+) \|$", _read("explanations.md"), re.MULTILINE
+    )
+    scores = " and ".join(f"{right} of {logs} logs with {what}" for what, logs, right, _ in told)
+    return f"It names the cause rightly in {scores} ([evidence]({{evidence}}explanations.md))."
+
+
 def speeds() -> str:
     """Beside others in the same run."""
     ratios = {row["name"]: row["ratio"]["median"] for row in json.loads(_read("bench.json"))["results"]}
@@ -527,7 +536,7 @@ BLOCKS: Final[Mapping[str, Callable[[], str]]] = {
     for make in (
         *(sent, flow, reactions, give_up, sequence, limiters, arrows, as_states),
         *(endings, as_off, starting, driving, guards),
-        *(keys, parameters, topics, services, shown, speeds, machines, targets, hazards),
+        *(keys, parameters, topics, services, shown, explained, speeds, machines, targets, hazards),
     )
 }
 
