@@ -404,7 +404,7 @@ def _found(pattern: str, text: str) -> tuple[str, ...]:
 
 
 def shown() -> str:
-    """What the committed evidence says, with the command that shows it; one line for each of its pages."""
+    """Results in the committed evidence, with the command that shows each; one line for each of its pages."""
     faults, missions, response, mutation = map(_read, ("faults.md", "missions.md", "response-time.md", "mutation.md"))
     worse, runs = _found(r"Worse than the rules allow: (\d+) of (\d+) runs", faults)
     (kinds,) = _found(r"(\d+) kinds of fault", faults)
@@ -412,9 +412,7 @@ def shown() -> str:
     echoes, slowest = _found(r"of (\d+) echoes it saw the slowest took ([\d.]+) ms", response)
     idle = next(line.split(" | ") for line in response.splitlines() if line.startswith("| idle |"))
     counted = [row.split(" | ") for row in re.findall(r"^\| (`\w+` \|.*)$", mutation, re.MULTILINE)]
-    told = re.findall(
-        r"^\| ([a-z ]+) \| (\d+) \| (\d+) \| \d+ \| \d+ \| (\d+) \|$", _read("explanations.md"), re.MULTILINE
-    )
+    told = _scores()
     mutants, killed, survived = (sum(int(row[place]) for row in counted) for place in (1, 2, 4))
     rows = (
         (
@@ -445,12 +443,15 @@ def shown() -> str:
     return _table(("what was done", "command", "result"), ((done, f"`{how}`", said) for done, how, said in rows))
 
 
+def _scores() -> list[tuple[str, str, str, str]]:
+    """Counts of each half of the explanations: its kind, its logs, those told rightly, those wrongly called OK."""
+    rows = r"^\| ([a-z ]+) \| (\d+) \| (\d+) \| \d+ \| \d+ \| (\d+) \|$"
+    return re.findall(rows, _read("explanations.md"), re.MULTILINE)
+
+
 def explained() -> str:
     """The score of the explanations, in a sentence."""
-    told = re.findall(
-        r"^\| ([a-z ]+) \| (\d+) \| (\d+) \| \d+ \| \d+ \| (\d+) \|$", _read("explanations.md"), re.MULTILINE
-    )
-    scores = " and ".join(f"{right} of {logs} logs with {what}" for what, logs, right, _ in told)
+    scores = " and ".join(f"{right} of {logs} logs with {what}" for what, logs, right, _ in _scores())
     return f"It names the cause rightly in {scores} ([evidence]({{evidence}}explanations.md))."
 
 

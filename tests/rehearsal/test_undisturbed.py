@@ -12,7 +12,8 @@ import pytest
 
 from fsai_hil.rehearsal.demo import rehearse
 from fsai_hil.rehearsal.stack import StackError
-from fsai_hil.rehearsal.stall_monitor import NOTED_NS, RUNS, StallMonitor
+from fsai_hil.rehearsal.stall_monitor import BUSY_NS, NOTED_NS, RUNS, StallMonitor
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS
 
 pytest_plugins = ["pytester"]
@@ -184,3 +185,8 @@ def test_the_demo_drives_again_only_after_a_failure_in_a_stall(
     assert left == []
     lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]
     assert len(lines) == len(printed) and all(words in line for words, line in zip(printed, lines, strict=True))
+
+
+def test_a_busy_computer_leaves_half_of_the_cars_time_at_most() -> None:
+    """The monitor's processes load the standard library alone, so that the number stands there once more."""
+    assert BUSY_NS == COMMS_LOST_NS // 2
