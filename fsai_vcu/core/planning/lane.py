@@ -318,9 +318,8 @@ class _Worth(Value, frozen=True):
 
     reward: Floats  # as a border there
     wrong: Floats  # cost there of its colour, or of what lanes found earlier say
-    nearest_m: (
-        Floats  # distance to a pose at which it may be a border's cone; inf where it is certainly the other border's
-    )
+    # Distance to a pose at which the cone may be a border's; inf where it is certainly the other border's.
+    nearest_m: Floats
 
 
 def _worth(side: Floats) -> _Worth:
