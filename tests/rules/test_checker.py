@@ -751,6 +751,8 @@ def test_a_log_does_not_know_how_long_a_car_had_stood() -> None:
     neutral = replace(RUNNING, direction=Direction.NEUTRAL)
     assert judged(Sender().has(rpm=0).state(AsState.EMERGENCY_BRAKE).cycle(neutral, 10)) == []
     assert judged(Sender().has(rpm=100).state(AsState.EMERGENCY_BRAKE).cycle(neutral, 10)) == ["output table"]
+    began = Sender().has(dense=100, answer_ns=MS, mute=(WheelSpeeds,)).state(AsState.EMERGENCY_BRAKE).cycle(neutral)
+    assert judged(began.has(mute=()).cycle(neutral, 100)) == [], "the first speeds came a cycle after the first frame"
 
 
 def test_a_lasting_violation_is_told_once_each_time() -> None:

@@ -673,8 +673,12 @@ class BusView:
 
     @property
     def stood_before(self) -> bool:
-        """Return whether a log that began less than half a second ago may have begun with a standing car."""
-        return not self.from_start and not self.wheels.turned and self.now_ns - (self.start_ns or 0) < n.STILL_NS
+        """Return whether a log may have begun with a standing car, of which it cannot yet show that it stands.
+
+        Its first wheel speeds come up to a cycle after its first frame, and those that prove rest up to a cycle later.
+        """
+        since_ns = self.now_ns - (self.start_ns or 0)
+        return not self.from_start and not self.wheels.turned and since_ns < n.STILL_NS + 2 * n.CYCLE_NS
 
     @property
     def may_rise(self) -> bool:
