@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, MutableMapping
+from functools import cache
+from importlib import metadata
 from itertools import chain
 from pathlib import Path
 from typing import Final
@@ -19,6 +21,8 @@ _RANGE, _PROFILES, _BUILTIN = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
     "FASTDDS_BUILTIN_TRANSPORTS",
 )
+_PROFILES_OF_3: Final = "FASTDDS_DEFAULT_PROFILES_FILE"  # Fast DDS 3 reads this, and its rmw warns of the older name
+_RCLPY_ON_3: Final = 9  # rclpy's major version in Kilted, the first distribution on Fast DDS 3
 _DOMAIN: Final = "ROS_DOMAIN_ID"
 DISTRIBUTIONS: Final = ("jazzy", "humble", "kilted")
 """Distributions of ROS 2 with which the nodes, or their part of its API, were tried; the first is preferred."""
@@ -30,31 +34,45 @@ _FAST_DDS: Final = "rmw_fastrtps_cpp"  # rmw_fastrtps_shared_cpp reads the profi
 # With any other range than SYSTEM_DEFAULT rmw_fastrtps adds transports of its own, for LOCALHOST shared memory too.
 LOOPBACK: Final[Mapping[str, str]] = {_RANGE: "SYSTEM_DEFAULT", _PROFILES: str(PROFILE)}
 NETWORKS: Final[Mapping[str, str]] = {_RANGE: "SUBNET", _BUILTIN: "UDPv4"}
-VARIABLES: Final = (_RANGE, _PROFILES, _BUILTIN, _LOCALHOST_ONLY, _IMPLEMENTATION)  # all that choose a transport
+VARIABLES: Final = (_RANGE, _PROFILES, _PROFILES_OF_3, _BUILTIN, _LOCALHOST_ONLY, _IMPLEMENTATION)  # all that choose a transport
 
 _THIS_MACHINE: Final = ("", "LOCALHOST", "SYSTEM_DEFAULT")
 
 
-def set_transport(environ: MutableMapping[str, str]) -> str:
+@cache
+def profiles_variable() -> str:
+    """Return the variable that names a profile to the Fast DDS of the installed rclpy."""
+    try:
+        newer = int(metadata.version("rclpy").partition(".")[0]) >= _RCLPY_ON_3
+    except (metadata.PackageNotFoundError, ValueError):
+        newer = False
+    return _PROFILES_OF_3 if newer else _PROFILES
+
+
+def set_transport(environ: MutableMapping[str, str], profiles: str = "") -> str:
     """Put the transport into `environ`, before ROS 2 reads it; one line where it is not the loopback profile, or ''.
 
     A profile, a transport or a middleware that the operator has chosen holds. ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET
-    opens the process to the networks, by UDP alone. Called again it changes nothing.
+    opens the process to the networks, by UDP alone. Called again it changes nothing. profiles: the variable that
+    Fast DDS reads, `profiles_variable()` if empty; a profile named in the older variable moves there.
     """
+    profiles = profiles or profiles_variable()
+    if profiles != _PROFILES and (named := environ.pop(_PROFILES, "")):
+        environ.setdefault(profiles, named)
     implementation = environ.get(_IMPLEMENTATION, "")
-    profile = environ.get(_PROFILES, "")
+    profile = environ.get(profiles, "")
     builtin = environ.get(_BUILTIN, "")
     if implementation not in ("", _FAST_DDS):
         return f"transport: that of {_IMPLEMENTATION}={implementation}, for which no profile is set"
     if profile and profile != str(PROFILE):
-        return _own(f"{_PROFILES}={profile}", environ)
+        return _own(f"{profiles}={profile}", environ)
     if not profile and builtin:
         return "" if environ.items() >= NETWORKS.items() else _own(f"{_BUILTIN}={builtin}", environ)
     if not profile and environ.get(_RANGE, "") not in _THIS_MACHINE:
         environ[_BUILTIN] = NETWORKS[_BUILTIN]
         return f"transport: UDP, on every network of this machine where {_RANGE}={environ[_RANGE]} says so"
     environ.pop(_LOCALHOST_ONLY, None)  # it would go before the range
-    environ.update(LOOPBACK)
+    environ.update({_RANGE: LOOPBACK[_RANGE], profiles: str(PROFILE)})
     return ""
 
 

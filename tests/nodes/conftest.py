@@ -11,13 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from fsai_vcu.runtime.transport import LOOPBACK
+from fsai_vcu.runtime.transport import LOOPBACK, set_transport
 
 CHECKOUT = Path(__file__).parents[2]
 
 # Read when rclpy and the messages are imported. Field checks find what the middleware would send as nonsense.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ.update(LOOPBACK)
+set_transport(os.environ)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # The checkout's nodes are tested, not a copy that was installed some time ago.
 sys.path.insert(0, str(CHECKOUT / "nodes" / "fsai_nodes"))

@@ -53,6 +53,18 @@ def test_a_choice_that_shared_memory_defeats_is_said_to_be(name: str) -> None:
     assert "shared memory" in set_transport({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", variable: value})
 
 
+@pytest.mark.parametrize("set_before", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
+def test_fast_dds_3_is_told_in_the_variable_that_it_reads(set_before: str) -> None:
+    """Its middleware warns on each start where the older variable is set."""
+    reads = "FASTDDS_DEFAULT_PROFILES_FILE"
+    environ = dict(LOOPBACK)
+    for _ in range(2):
+        assert set_transport(environ, reads) == ""
+        assert environ == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", reads: str(PROFILE)}
+    chosen = {set_before: "/home/me/dds.xml"}
+    assert f"{reads}=/home/me/dds.xml of" in set_transport(chosen, reads) and chosen == {reads: "/home/me/dds.xml"}
+
+
 def test_subnet_opens_a_process_without_shared_memory() -> None:
     environ = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     assert "every network" in set_transport(environ)

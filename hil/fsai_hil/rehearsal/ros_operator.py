@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fsai_hil.rehearsal.stack import Stack, StackError, holds_within
-from fsai_vcu.runtime.transport import LOOPBACK, VARIABLES
+from fsai_vcu.runtime.transport import VARIABLES, set_transport
 
 ANSWER_TIMEOUT_S = 60.0
 ASK_AGAIN_S = 1.0
@@ -26,7 +26,8 @@ class RosOperator:
         # rclpy reads its environment once, when it is first initialised.
         for variable in VARIABLES:
             os.environ.pop(variable, None)
-        os.environ.update({name: stack.environ[name] for name in ("ROS_DOMAIN_ID", *LOOPBACK)})
+        os.environ["ROS_DOMAIN_ID"] = stack.environ["ROS_DOMAIN_ID"]
+        set_transport(os.environ)
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from fsai_msgs.action import RunMission
