@@ -197,7 +197,8 @@ class _Layout:
         ]
         self._unpack, self._pack = _by_position(message, [slot.signal for slot in self.slots])
         readers = (slot.read_if_said if message.is_multiplexed() else slot.read for slot in self.slots)
-        self._readers = [(slot.place, read) for slot, read in zip(self.slots, readers, strict=True)]
+        self._readers = list(readers)
+        self._places = [slot.place for slot in self.slots]
         self._writers = [slot.write for slot in self.slots]
         self._has_float = any(slot.signal.is_float for slot in self.slots)
         self._read: dict[bytes, _Said] = {}
@@ -214,18 +215,19 @@ class _Layout:
             raws = self._unpack(data[::-1])
         except Exception as error:  # decode never raises, whatever a strange database makes cantools do
             return None, (f"{self.message}: cannot be decoded: {error}",), None
-        values, problems = self._defaults.copy(), list[str]()
-        for (place, read), raw in zip(self._readers, raws, strict=True):
+        values, problems, refused = self._defaults.copy(), list[str](), False
+        for place, read, raw in zip(self._places, self._readers, raws, strict=True):
             try:
                 values[place] = read(raw)
             except Odd as odd:
                 values[place] = odd.value
+                refused = refused or odd.value is Refuse.FRAME
                 problems += [odd.problem] if odd.problem else []
         handshake = values[0] if self.kind is VcuStatus else None
         for place, group in self._groups:
             end = place + len(group.__struct_fields__)
             values[place:end] = [group(*values[place:end])]
-        said = None if Refuse.FRAME in values else values, tuple(problems), handshake
+        said = None if refused else values, tuple(problems), handshake
         _remember(self._read, data, said)
         return said
 

@@ -85,7 +85,9 @@ class Slot:
         """Read as `read`, in a message that does not always carry the signal: its raw number is None then."""
         if raw is not None:
             return self.read(raw)
-        return Refuse.FRAME if self.field.absent is None else self.field.default
+        if self.field.absent is None:
+            raise Odd(Refuse.FRAME, "")
+        return self.field.default
 
     def _unknown(self, raw: float) -> bool:
         if self.field.holds is bool:  # a flag of several bits

@@ -34,7 +34,8 @@ _FAST_DDS: Final = "rmw_fastrtps_cpp"  # rmw_fastrtps_shared_cpp reads the profi
 # With any other range than SYSTEM_DEFAULT rmw_fastrtps adds transports of its own, for LOCALHOST shared memory too.
 LOOPBACK: Final[Mapping[str, str]] = {_RANGE: "SYSTEM_DEFAULT", _PROFILES: str(PROFILE)}
 NETWORKS: Final[Mapping[str, str]] = {_RANGE: "SUBNET", _BUILTIN: "UDPv4"}
-VARIABLES: Final = (_RANGE, _PROFILES, _PROFILES_OF_3, _BUILTIN, _LOCALHOST_ONLY, _IMPLEMENTATION)  # all that choose a transport
+# All that choose a transport.
+VARIABLES: Final = (_RANGE, _PROFILES, _PROFILES_OF_3, _BUILTIN, _LOCALHOST_ONLY, _IMPLEMENTATION)
 
 _THIS_MACHINE: Final = ("", "LOCALHOST", "SYSTEM_DEFAULT")
 

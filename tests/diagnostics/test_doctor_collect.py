@@ -148,12 +148,13 @@ def test_the_kernels_own_tables_are_understood() -> None:
             assert more[ipaddress.ip_address(local)] == 1
 
 
-def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path) -> None:
-    port_files = ("fastrtps_port7410", "fastrtps_port7410_sl", "sem.fastrtps_port7410_mutex")
-    names = ("fastrtps_0a", "fastrtps_0a_el", *port_files)
-    for name in (*names, "somebody_elses", "fastrtps_x; reboot #", "fastrtps_$(reboot)", "sem.fastrtps_x\n_mutex"):
+@pytest.mark.parametrize("fast", ["fastrtps", "fastdds"])
+def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path, fast: str) -> None:
+    port_files = (f"{fast}_port7410", f"{fast}_port7410_sl", f"sem.{fast}_port7410_mutex")
+    names = (f"{fast}_0a", f"{fast}_0a_el", *port_files)
+    for name in (*names, "somebody_elses", f"{fast}_x; reboot #", f"{fast}_$(reboot)", f"sem.{fast}_x\n_mutex"):
         (tmp_path / name).touch()
-    with (tmp_path / "fastrtps_0a_el").open() as segment, (tmp_path / "fastrtps_port7410_sl").open() as port:
+    with (tmp_path / f"{fast}_0a_el").open() as segment, (tmp_path / f"{fast}_port7410_sl").open() as port:
         fcntl.flock(segment, fcntl.LOCK_EX)
         assert dds_leftovers(folder=tmp_path) == tuple(str(tmp_path / name) for name in port_files)
         fcntl.flock(port, fcntl.LOCK_SH)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -59,7 +60,7 @@ def detector() -> Iterator[subprocess.Popen[str]]:
 def mapped(pid: int) -> set[str]:
     """The process's files of shared memory, ports that others may have open as well among them."""
     words = (line.split() for line in Path(f"/proc/{pid}/maps").read_text().splitlines())
-    return {line[5] for line in words if len(line) > 5 and line[5].startswith("/dev/shm/") and "fastrtps_" in line[5]}
+    return {line[5] for line in words if len(line) > 5 and re.match("/dev/shm/.*fast(rtps|dds)_", line[5])}
 
 
 def test_leftovers_in_dev_shm_keep_no_node_from_starting(

@@ -15,6 +15,9 @@ from fsai_vcu.runtime.transport import (
     set_transport,
 )
 
+# The variables in which versions of Fast DDS look for a profile.
+FAST_DDS_2, FAST_DDS_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+
 
 @pytest.mark.parametrize(
     "environ",
@@ -29,7 +32,7 @@ from fsai_vcu.runtime.transport import (
     ],
 )
 def test_the_loopback_profile_holds_where_nothing_else_is_chosen(environ: dict[str, str]) -> None:
-    assert set_transport(environ) == ""
+    assert set_transport(environ, FAST_DDS_2) == ""
     assert environ.items() >= LOOPBACK.items() and "ROS_LOCALHOST_ONLY" not in environ
     assert PROFILE.is_file()
 
@@ -44,7 +47,7 @@ def test_the_loopback_profile_holds_where_nothing_else_is_chosen(environ: dict[s
 )
 def test_what_the_operator_has_chosen_holds_and_is_said(environ: dict[str, str], words: str) -> None:
     before = dict(environ)
-    assert words in set_transport(environ) and environ == before
+    assert words in set_transport(environ, FAST_DDS_2) and environ == before
 
 
 @pytest.mark.parametrize("name", ["ROS_LOCALHOST_ONLY=1", "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"])
@@ -53,16 +56,16 @@ def test_a_choice_that_shared_memory_defeats_is_said_to_be(name: str) -> None:
     assert "shared memory" in set_transport({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", variable: value})
 
 
-@pytest.mark.parametrize("set_before", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
+@pytest.mark.parametrize("set_before", [FAST_DDS_2, FAST_DDS_3])
 def test_fast_dds_3_is_told_in_the_variable_that_it_reads(set_before: str) -> None:
     """Its middleware warns on each start where the older variable is set."""
-    reads = "FASTDDS_DEFAULT_PROFILES_FILE"
     environ = dict(LOOPBACK)
     for _ in range(2):
-        assert set_transport(environ, reads) == ""
-        assert environ == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", reads: str(PROFILE)}
+        assert set_transport(environ, FAST_DDS_3) == ""
+        assert environ == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", FAST_DDS_3: str(PROFILE)}
     chosen = {set_before: "/home/me/dds.xml"}
-    assert f"{reads}=/home/me/dds.xml of" in set_transport(chosen, reads) and chosen == {reads: "/home/me/dds.xml"}
+    assert f"{FAST_DDS_3}=/home/me/dds.xml of" in set_transport(chosen, FAST_DDS_3)
+    assert chosen == {FAST_DDS_3: "/home/me/dds.xml"}
 
 
 def test_subnet_opens_a_process_without_shared_memory() -> None:

@@ -50,7 +50,7 @@ _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
 _SHARED_MEMORY = Path("/dev/shm")
-_OF_FAST_DDS = re.compile(r"(sem\.)?fastrtps_\w+", re.ASCII)
+_OF_FAST_DDS = re.compile(r"(sem\.)?fast(rtps|dds)_\w+", re.ASCII)  # of version 2, as in Jazzy; of 3, as in Kilted
 _MODULES = Path("/lib/modules")
 
 # linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Of a clock that nothing keeps maxerror is 16 s.
@@ -376,13 +376,14 @@ def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> 
     """Files of Fast DDS's shared memory whose owner is gone, as its own `fastdds shm clean` decides it.
 
     A segment or port `fastrtps_X` is in use while a lock is held on `fastrtps_X_el` or `fastrtps_X_sl`;
-    `sem.fastrtps_X_mutex` belongs to it. A file with another name is none of them: anybody can put one there, and the
-    doctor puts the names into a command. The locks are read (proc_locks(5)), not tried: that would hold up an owner.
+    `sem.fastrtps_X_mutex` belongs to it. Fast DDS 3 names them `fastdds_X`. A file with another name is none of them:
+    anybody can put one there, and the doctor puts the names into a command. The locks are read (proc_locks(5)), not
+    tried: that would hold up an owner.
     """
     locked = {line.split()[5 if "->" not in line else 6] for line in _read(proc / "locks").splitlines()}
     files: dict[str, list[Path]] = {}
     in_use = set()
-    for path in [*folder.glob("fastrtps_*"), *folder.glob("sem.fastrtps_*")]:
+    for path in folder.glob("*fast*"):
         if _OF_FAST_DDS.fullmatch(path.name) is None:
             continue
         owner = re.sub(r"^sem\.|_(el|sl|mutex)$", "", path.name)
