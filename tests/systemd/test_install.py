@@ -127,7 +127,7 @@ def test_the_package_carries_the_system_files_owned_by_root(deb: Path) -> None:
 
 def test_the_package_keeps_the_configuration_on_upgrade(deb: Path, tmp_path: Path) -> None:
     fields = dpkg_deb("-f", deb)
-    assert "Package: fsai-vcu" in fields and "systemd (>= 252)" in fields
+    assert "Package: fsai-vcu" in fields and "systemd (>= 249)" in fields
     dpkg_deb("-e", deb, tmp_path)
     assert (tmp_path / "conffiles").read_text().splitlines() == ["/etc/fsai/fsai.toml", "/etc/fsai/limits.toml"]
     assert "/usr/lib/fsai/settle" in (tmp_path / "postinst").read_text()

@@ -19,7 +19,9 @@ pytestmark = pytest.mark.skipif(
     os.geteuid() != 0 or not all(shutil.which(tool, path=f"{os.environ['PATH']}:/usr/sbin:/sbin") for tool in TOOLS),
     reason=f"dpkg fills an image as root only, with {', '.join(TOOLS)}",
 )
-HAVE = {"systemd": "252.1", "iproute2": "6.1", "python3.11": "3.11.2", "python3.12": "3.12.3", "python3.13": "3.13.5"}
+# Ubuntu 22.04's, the oldest; and the interpreter of each distribution.
+HAVE = {"systemd": "249.11", "iproute2": "5.15"}
+HAVE |= {"python3.10": "3.10.4", "python3.11": "3.11.2", "python3.12": "3.12.3", "python3.13": "3.13.5"}
 TARGET = "etc/systemd/system/multi-user.target.wants/fsai.target"
 NODES = {f"fsai-{name}.service" for name in ("detector", "planner", "controller")}
 BRIDGE = "etc/systemd/system/fsai.target.wants/fsai-bridge@{}.service"
