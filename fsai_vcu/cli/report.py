@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 from fsai_vcu.cli.decoding import Decoding
@@ -25,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signals", metavar="NAME,…", help="plots of these signals too: NAME or MESSAGE.NAME, with * and ?"
     )
+    parser.add_argument(
+        "--json", action="store_true", help="print the findings and the verdict, one JSON object per line"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,6 +49,9 @@ def run(args: argparse.Namespace) -> int:
         _write(args.output, text)
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+    if args.json:
+        print("\n".join(map(json.dumps, found.verdict.as_dicts())))
+        return found.verdict.status
     print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB); verdict: {found.verdict.line()}")
     return found.verdict.status
 
