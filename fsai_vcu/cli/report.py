@@ -15,9 +15,8 @@ EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
 One HTML file: the pit wall's page at any moment of the log, with its plots, what
 explain finds and the figures of check --figures; it opens offline and loads
-nothing from elsewhere. Exit status:
-as for check, by the verdict on top of the page, which is saved all the same; 1
-also where it cannot be."""
+nothing from elsewhere. Exit status: as for check, by the verdict on top of the
+page, which is saved all the same; 1 also where it cannot be."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
