@@ -6,7 +6,7 @@ from typing import Final
 VERBS: Final = {
     "drive": (
         "fsai_hil.cli.drive",
-        "drive a mission against the simulated car, with a fault if you like, without ROS or hardware",
+        "drive a mission, or one with a fault, against the simulated car, without ROS or hardware",
         "simulate",
     ),
     "track": ("fsai_hil.cli.track", "make a circuit by the rules from a seed, or say what a track is", "simulate"),
