@@ -12,6 +12,7 @@ _MOST: Final = 3
 _SHORTEST: Final = 3  # letters of a word that is looked for in what the verbs do
 
 MEANT: Final[Mapping[str, str]] = {
+    "emergency-brake": "stop estop e-stop brake halt abort kill ebs emergency",
     "drive": "sim simulation simulator demo run start mission missions acceleration skidpad autocross trackdrive "
     "fault faults inject film gif",
     "track": "map circuit course cones",
@@ -33,7 +34,6 @@ MEANT: Final[Mapping[str, str]] = {
     "export": "convert excel matlab pandas table",
     "replay": "play player playback canplayer repeat",
     "mode": "start stop go enable disable arm engage",
-    "emergency-brake": "stop estop e-stop brake halt abort kill ebs emergency",
     "reset": "clear restart release unlatch",
     "config": "settings limits parameters toml",
     "doctor": "diagnose diagnosis health setup install adapter interface computer",
@@ -41,7 +41,7 @@ MEANT: Final[Mapping[str, str]] = {
     "send": "cansend cangen transmit tx",
     "enclaves": "security",
 }
-"""Verb -> words by which it is looked for, beside its name, its group and what it does."""
+"""Verb -> words by which it is looked for, beside its name, its group and what it does; what brakes is named first."""
 
 
 def meant(word: str, verbs: Mapping[str, tuple[str, str, str]]) -> list[str]:
@@ -52,11 +52,13 @@ def meant(word: str, verbs: Mapping[str, tuple[str, str, str]]) -> list[str]:
     sought = word[:60].casefold().lstrip("-")
     if grouped := [verb for verb, (_, _, group) in verbs.items() if group == sought]:
         return grouped
-    guesses = {verb: MEANT.get(verb, "").split() for verb in verbs}
-    if exact := [verb for verb in verbs if sought in guesses[verb]]:
+    guesses = {verb: words.split() for verb, words in MEANT.items() if verb in verbs}
+    if exact := [verb for verb, words in guesses.items() if sought in words]:
         return exact
     told = [verb for verb, (_, does, _) in verbs.items() if sought in re.findall(r"\w+", does.casefold())]
     if len(sought) >= _SHORTEST and 0 < len(told) <= _MOST:
         return told
     near = get_close_matches(sought, {*verbs, *(each for words in guesses.values() for each in words)}, _MOST, _LIKE)
-    return list(dict.fromkeys(verb for each in near for verb in verbs if each == verb or each in guesses[verb]))[:_MOST]
+    return list(dict.fromkeys(verb for each in near for verb in verbs if each in (verb, *guesses.get(verb, ()))))[
+        :_MOST
+    ]
