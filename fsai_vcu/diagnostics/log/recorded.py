@@ -20,7 +20,7 @@ LOST_HERE: Final = "lost_in_receive_buffer"
 STOOD_STILL: Final = "stood_still_ns"
 """In a segment's JSON file: [from, to] in ns since 1970 of each time at which the recording machine stood still."""
 UNEXPLAINED_NS: Final = COMMS_LOST_NS // 2
-"""Of a silence, beside the stalls: with more of it left the silence has another cause."""
+"""The rest of a silence beside the stalls from which on it has another cause."""
 _MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
 _MOST_STALLS: Final = 1000
 _VIRTUAL: Final = ("vcan", "loopback:", "virtual:", "udp_multicast:")
