@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Collection
 from contextlib import suppress
@@ -113,6 +114,10 @@ def by_clock(node: Any, names: Collection[str]) -> dict[str, bool]:
     return {name: values[0].bool_value for name, values in answers.items() if values}
 
 
+def _say(words: str) -> None:
+    print(f"fsai-vcu check-stack: {words}", file=sys.stderr, flush=True)
+
+
 def watch(namespace: str, seconds: float, wait_s: float) -> StackWatch:
     """Listen for so long from the first message on."""
     stack = StackWatch()
@@ -121,11 +126,13 @@ def watch(namespace: str, seconds: float, wait_s: float) -> StackWatch:
 
         listen(node, stack)
         began = False
+        _say(f"waiting for the first message of the nodes, {wait_s:g} s at most")
         until = time.monotonic() + wait_s
         while (left_s := until - time.monotonic()) > 0.0:
             rclpy.spin_once(node, timeout_sec=min(_TURN_S, left_s))
             if not began and any(heard.count for heard in stack.heard.values()):
                 began, until = True, time.monotonic() + seconds
+                _say(f"listening for {seconds:g} s")
         stack.ends = {topic: ends_of(node, topic) for topic in TOPICS}
         names = {name for ends in stack.ends.values() for name in (*ends.publishers, *ends.readers)}
         stack.by_clock = by_clock(node, names)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
-from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.printable import printable
 
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("what", choices=("list", "show", "diff"), metavar="list|show|diff", help="what to print")
     add("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
     add("--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)")
+    add("--json", action="store_true", help="one JSON object per message, or per difference")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,17 +36,24 @@ def run(args: argparse.Namespace) -> int:
         if len(args.names) != 2:
             raise WrongUse("diff takes two databases: fsai-vcu dbc diff 2021 2026")
         lines = list(_differences(*(_load(name).layouts for name in args.names)))
-        print("\n".join(lines) if lines else "no difference")
+        if args.json:
+            lines = [json.dumps({"only_in": args.names["-+".index(line[0])], "words": line[2:]}) for line in lines]
+        for line in lines or ([] if args.json else ["no difference"]):
+            print(line)
         return 1 if lines else 0
     layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
     chosen = [layout for layout in layouts if not args.names or any(map(layout.is_called, args.names))]
     unknown = [name for name in args.names if not any(layout.is_called(name) for layout in layouts)]
     for layout in chosen:
+        if args.json:
+            print(json.dumps(_as_dict(layout, args.what == "show")))
+            continue
         print(_head(layout))
         if args.what == "show":
             print("".join(f"    {_signal(signal)}\n" for signal in layout.signals), end="")
     if unknown:
-        raise UserError(f"no message {' or '.join(unknown)} in {args.dbc}")
+        meant = did_you_mean(unknown[0], (layout.name for layout in layouts))
+        raise UserError(f"no message {' or '.join(unknown)} in {args.dbc}{meant}")
     return 0
 
 
@@ -59,6 +68,14 @@ def _head(layout: MessageLayout) -> str:
     period = "" if layout.period_ms is None else f", every {layout.period_ms} ms"
     length = "1 byte" if layout.length == 1 else f"{layout.length} bytes"
     return f"{_number(layout)} {layout.name}: {length}{period}, from {', '.join(layout.senders) or 'nobody'}"
+
+
+def _as_dict(layout: MessageLayout, with_signals: bool) -> dict[str, object]:
+    names = {"can_id": "id", "name": "message", "senders": "from"}
+    found = {names.get(name, name): value for name, value in layout._asdict().items() if name != "plain"}
+    if not with_signals:
+        return found | {"signals": [signal.name for signal in layout.signals]}
+    return found | {"signals": [signal._asdict() for signal in layout.signals]}
 
 
 def _number(layout: MessageLayout) -> str:

@@ -11,7 +11,7 @@ from typing import Final
 
 from fsai_vcu.cli.decoding import Decoding, add_database_arguments
 from fsai_vcu.cli.output import write_out
-from fsai_vcu.cli.sources import SOURCE_HELP, Sources, add_part_arguments, part_of
+from fsai_vcu.cli.sources import SOURCE_HELP, Sources, add_bus_mark, add_part_arguments, part_of
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "id & MASK == ID & MASK), ID~MASK (all others), #ERRORMASK (error frames), j (all filters must match). Eight "
         "digits mean a 29-bit id. Without a filter all frames are shown, error frames too",
     )
+    add_bus_mark(parser)
     add(
         "-t",
         dest="times",

@@ -17,8 +17,8 @@ EXAMPLE = "fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --second
 ABOUT = """\
 From the frames alone: for every emergency brake and every refusal to start the
 cause, the evidence and what to do about it; then the verdict that check gives.
-With --timeline everything that happened before, too. Exit status: as for check (the emergency brake that a
-mission ends with is no problem)."""
+With --timeline everything that happened before, too. Exit status: as for check
+(the emergency brake that a mission ends with is no problem)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

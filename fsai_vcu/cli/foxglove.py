@@ -12,7 +12,15 @@ from itertools import chain, islice
 from typing import Any, Final
 
 from fsai_vcu.cli.decoding import Decoding
-from fsai_vcu.cli.sources import SOURCE_HELP, Sources, add_part_arguments, add_server_arguments, check_server, part_of
+from fsai_vcu.cli.sources import (
+    SOURCE_HELP,
+    Sources,
+    add_bus_mark,
+    add_part_arguments,
+    add_server_arguments,
+    check_server,
+    part_of,
+)
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -35,6 +43,7 @@ WORDS: Final = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sources", nargs="*", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
+    add_bus_mark(parser)
     parser.add_argument("--layout", action="store_true", help="print a layout to import, and nothing else")
     add_part_arguments(parser)
     add_server_arguments(parser, PORT)

@@ -16,7 +16,6 @@ from typing import NoReturn, TextIO, cast
 
 from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
-from fsai_vcu.interface.errors import did_you_mean
 from fsai_vcu.printable import PrintableStream, printable
 
 Verbs = dict[str, tuple[str, str, str]]
@@ -30,7 +29,7 @@ OWN_VERBS: Verbs = {
     "emergency-brake": (".emergency_brake", "request an emergency brake", "running car"),
     "reset": (".reset", "clear a latched emergency request, in AS_OFF and AS_INIT", "running car"),
     "check-stack": (".check_stack", "watch a running stack over ROS 2, and list what it does wrong", "your stack"),
-    "status": (".status", "show mode, AS state, and what stands between now and driving", "watch"),
+    "status": (".status", "show mode, AS state, and why the car is not driving yet, over ROS 2", "watch"),
     "config": (
         ".config",
         "check the car's configuration, /etc/fsai/fsai.toml, or show every setting in force",
@@ -43,10 +42,14 @@ OWN_VERBS: Verbs = {
     "check": (".check", "say what is wrong on a bus or in a log; with --figures what each message did", "recordings"),
     "monitor": (
         ".monitor",
-        "watch a bus live: AS state, why it is not driving, what is asked and given; never sends",
+        "watch a bus or a log in the terminal: AS state, why it is not driving, what is asked and given",
         "watch",
     ),
-    "pitwall": (".pitwall", "show a bus live on a web page for everybody around the car; never sends", "watch"),
+    "pitwall": (
+        ".pitwall",
+        "show a bus live, or play a log, on a web page for everybody around the car; never sends",
+        "watch",
+    ),
     "foxglove": (".foxglove", "show a bus live in Foxglove, decoded; never sends", "watch"),
     "explain": (
         ".explain",
@@ -56,11 +59,11 @@ OWN_VERBS: Verbs = {
     "report": (".report", "turn a recorded run into one page: plots, explanation and figures", "recordings"),
     "plot": (".plot", "draw any signals of a log over time, as a picture", "recordings"),
     "compare": (".compare", "say what differs between two logs: periods, values, problems", "recordings"),
-    "dbc": (".dbc", "show what a signal database says, and how two of them differ", "machine"),
+    "dbc": (".dbc", "show messages and signals of a database (DBC), and how two of them differ", "machine"),
     "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge", "machine"),
     "record": (".record", "record a bus, safe on the disk within a second; also as MCAP", "recordings"),
     "export": (".export", "turn a log into tables: CSV, Parquet, MCAP, MF4", "recordings"),
-    "replay": (".replay", "send a log onto a bus again", "recordings"),
+    "replay": (".replay", "send a log onto a bus again (pitwall LOG plays it to be looked at)", "recordings"),
     "completion": (".completion", "print a script with which bash, zsh or fish complete this command", "other"),
     "reference": (".reference", "write the reference of all verbs, as Markdown or as a manual page", "other"),
 }
@@ -177,8 +180,11 @@ def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
         arguments = [*now, *arguments[1:]]
     verb = arguments[0]
     if verb not in OWN_VERBS and verb not in all_verbs():
-        meant = did_you_mean(verb, all_verbs()) or f"; there are: {', '.join(all_verbs())}"
-        print(f"fsai-vcu: no verb '{printable(verb)}'{meant}", file=sys.stderr)
+        from fsai_vcu.cli.guesses import meant
+
+        near = " or ".join(meant(verb, all_verbs()))
+        more = f"did you mean {near}?" if near else "fsai-vcu --help shows what there is"
+        print(f"fsai-vcu: no verb '{printable(verb)}'; {more}", file=sys.stderr)
         return 2
     module = module_of(verb)
     parser = parser_of(verb)
@@ -207,8 +213,9 @@ def _print_help(everything: bool) -> None:
             if of == group:
                 print(f"  {verb:<{width}}  {summary}")
     print("\n`fsai-vcu help VERB` shows the options and an example:\n  fsai-vcu drive --mission trackdrive --laps 2")
+    print("\nWith ROS 2, in the checkout: `make drive` drives, records and shows the pit wall, until Ctrl-C.")
     if not everything:
-        print("\nSeldom used verbs: fsai-vcu help --all")
+        print("Seldom used verbs: fsai-vcu help --all")
     print("\nThe field's words (AS state, AMI, ASMS, RES, EBS, Go) are in docs/glossary.md.")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 from fsai_vcu.cli.decoding import Decoding
@@ -14,9 +15,8 @@ EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
 One HTML file: the pit wall's page at any moment of the log, with its plots, what
 explain finds and the figures of check --figures; it opens offline and loads
-nothing from elsewhere. Exit status:
-as for check, by the verdict on top of the page, which is saved all the same; 1
-also where it cannot be."""
+nothing from elsewhere. Exit status: as for check, by the verdict on top of the
+page, which is saved all the same; 1 also where it cannot be."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.html", help="the page to write")
     parser.add_argument(
         "--signals", metavar="NAME,…", help="plots of these signals too: NAME or MESSAGE.NAME, with * and ?"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the findings and the verdict, one JSON object per line"
     )
 
 
@@ -45,6 +48,9 @@ def run(args: argparse.Namespace) -> int:
         _write(args.output, text)
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+    if args.json:
+        print("\n".join(map(json.dumps, found.verdict.as_dicts())))
+        return found.verdict.status
     print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB); verdict: {found.verdict.line()}")
     return found.verdict.status
 

@@ -195,6 +195,7 @@ def vehicle_state(args: argparse.Namespace) -> Any:
 
         begin_s = time.monotonic()
         wait_s = _STATE_S if args.wait is None else args.wait
+        say_s = _SAY_S + _NO_NODE_S * (args.wait is None)
         received: list[Any] = []
         node.create_subscription(VehicleState, "vehicle_state", received.append, qos_profile_sensor_data)
         while not received:
@@ -206,5 +207,8 @@ def vehicle_state(args: argparse.Namespace) -> Any:
             if args.wait is None and waited_s >= _NO_NODE_S and not (others or node_is_here):
                 domain = os.environ.get("ROS_DOMAIN_ID", "0")
                 raise UserError(f"no ROS node runs here, on ROS_DOMAIN_ID {domain}; --wait S waits for one")
+            if waited_s >= say_s:
+                say_s = math.inf
+                print(f"waiting for {node.resolve_topic_name('vehicle_state')}, {wait_s:g} s at most", file=sys.stderr)
             rclpy.spin_once(node, timeout_sec=min(_TURN_S, wait_s - waited_s))
     return received[-1]

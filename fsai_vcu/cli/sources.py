@@ -44,6 +44,12 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
         metavar="LOG|FOLDER|INTERFACE[,FILTER…]",
         help=SOURCE_HELP + "; several logs, or a folder of them, are read as one; filters as for dump",
     )
+    add_bus_mark(parser)
+
+
+def add_bus_mark(parser: argparse.ArgumentParser) -> None:
+    """Let -i stand before a source, as it does for the verbs that send: it says nothing that is not known."""
+    parser.add_argument("-i", "--interface", action="store_true", help=argparse.SUPPRESS)
 
 
 def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True, signals: bool = False) -> None:

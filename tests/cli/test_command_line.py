@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fsai_vcu.cli.guesses import MEANT
 from fsai_vcu.cli.main import GROUPS, all_verbs, main
 
 # People script against these.
@@ -73,6 +74,51 @@ def test_help_of_a_verb_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert said[0] == said[1] and said[0][0] == 0
     assert main(["help", "explian"]) == 2
     assert "did you mean explain" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("task", "guesses", "verb"),
+    [
+        ("see what is on the bus", "candump watch", "dump"),
+        ("see why the car does not start", "why state", "status"),
+        ("learn why it stopped last night", "why analyse", "explain"),
+        ("play last night's log to the team", "play view", "pitwall"),
+        ("put a log on vcan0 again", "canplayer play", "replay"),
+        ("rehearse scrutineering with our CAN node", "test node", "rehearse"),
+        ("send one frame on the bench", "cansend transmit", "send"),
+        ("learn which missions there are, and drive one", "missions sim", "drive"),
+        ("drive with a fault", "fault inject", "drive"),
+        ("have a car on vcan0 for our node", "simulator car", "vcu"),
+        ("brake now", "estop stop", "emergency-brake"),
+        ("go to manual", "manual stop", "mode"),
+        ("have a table for a spreadsheet", "csv convert", "export"),
+        ("record the bus", "log capture", "record"),
+        ("see the steering over time", "graph curves", "plot"),
+        ("see what last night did differently", "diff", "compare"),
+        ("know whether this computer is ready", "diagnose setup", "doctor"),
+        ("know the signals of a message", "signals message", "dbc"),
+        ("see what our ROS stack does wrong", "ros stack", "check-stack"),
+        ("show it on the television", "web live", "pitwall"),
+        ("a name that is mistyped", "monitr mnoitor", "monitor"),
+    ],
+)
+def test_a_task_is_found_by_each_word_that_is_tried_for_it(
+    task: str, guesses: str, verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for guess in guesses.split():
+        assert main([guess]) == 2
+        said = capsys.readouterr().err
+        assert verb in said.partition("did you mean ")[2].rstrip("?\n").split(" or "), (task, said)
+
+
+@pytest.mark.parametrize("word", ["stop", "estop", "e-stop", "brake", "braek", "halt", "abort"])
+def test_who_wants_to_brake_is_not_sent_elsewhere_first(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([word]) == 2
+    assert "did you mean emergency-brake" in capsys.readouterr().err
+
+
+def test_every_verb_that_is_guessed_at_exists() -> None:
+    assert MEANT.keys() <= all_verbs().keys()
 
 
 INTERRUPTED = """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from fsai_vcu.cli.main import main
@@ -27,3 +29,19 @@ def test_two_revisions_differ_message_by_message(capsys: pytest.CaptureFixture[s
 def test_a_database_does_not_differ_from_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dbc", "diff", "2026", "2026"]) == 0
     assert capsys.readouterr().out == "no difference\n"
+
+
+def test_what_is_shown_is_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", "show", "0x513", "--json"]) == 0
+    message = json.loads(capsys.readouterr().out)
+    assert (message["id"], message["message"], message["period_ms"], message["from"]) == (
+        0x513,
+        "AI2VCU_Steer",
+        10,
+        ["AI"],
+    )
+    assert message["signals"][0] | {"scale": 0.1, "unit": "deg"} == message["signals"][0]
+    assert main(["dbc", "diff", "2021", "2026", "--json"]) == 1
+    differences = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {"only_in": "2021", "words": "0x120 VCU_STATUS: 8 bytes, every 10 ms, from VCU"} in differences
+    assert main(["dbc", "diff", "2026", "2026", "--json"]) == 0 and capsys.readouterr().out == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -35,6 +36,10 @@ def test_a_track_is_described_in_figures(capsys: pytest.CaptureFixture[str]) -> 
         "tightest radius of the middle of the lane: 10.0 m",
         "lane: 3.5 to 3.5 m wide",
     ]
+    assert main(["track", "small_oval", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["car"] == {"x_m": -8.17, "y_m": 0.0, "yaw_deg": 0.0, "before_line_m": 6.0}
+    assert (facts["kind"], facts["cones"]["blue"], round(facts["tightest_radius_m"], 1)) == ("circuit", 22, 10.0)
 
 
 def test_what_is_not_as_the_file_has_it_is_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ USES = [
     ("status --wait nan", 2, "--wait is nan, but must be 0 or more"),
     *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
     *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
+    *((f"{verb} -i no0", 1, "no CAN interface 'no0'") for verb in ("dump -t z", "check", "foxglove --port 0")),
     *((f"{verb} empty.log", 1, "no frames in it") for verb in ("decode", "monitor")),
     *((f"{verb} garbage.log", 1, "line 1: not text") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --revision 2030", 2, "choose one of 2021, 2026") for verb in ("decode", "monitor")),
@@ -57,7 +58,7 @@ USES = [
     ("record --service --config gone.toml", 1, "gone.toml: cannot be read: No such file"),
     ("decode folder", 1, "folder: no log in this folder"),
     # ---------------------------------------------------------------- databases and dumps
-    ("dbc show nothing", 1, "no message nothing in 2026"),
+    ("dbc show VCU2AI_Stear", 1, "no message VCU2AI_Stear in 2026; did you mean VCU2AI_Steer"),
     ("dbc show 0x513 nothing", 1, "no message nothing in 2026"),
     ("dbc diff 2021", 2, "diff takes two databases"),
     ("dbc list --dbc /nowhere.dbc", 1, "/nowhere.dbc"),

@@ -98,6 +98,22 @@ def test_a_pause_is_the_loss_of_the_computer_that_lost_frames(
     assert "verdict: UNKNOWN: 28928 frames lost in this machine's receive buffer: no fault of the bus" in lossy
 
 
+@pytest.mark.parametrize(
+    ("stalls_ms", "verdict"),
+    [([(-1, 401)], "UNKNOWN"), ([(-1, 200), (-1, 200), (220, 390)], "UNKNOWN"), ([(-1, 200), (-1, 200)], "NOT OK")],
+)
+def test_a_stall_explains_a_pause_that_is_as_long(
+    stalls_ms: list[tuple[int, int]], verdict: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = branch(driving(), lambda run: None, 2.0).frames
+    begin_ns = int(frames.t_ns[-1]) - S
+    frames = frames.only((frames.t_ns < begin_ns) | (frames.t_ns > begin_ns + 400 * MS))
+    stalls = [[begin_ns + each * MS for each in stall] for stall in stalls_ms]
+    out = told(capsys, "check", str(written(tmp_path, frames, stood_still_ns=stalls)))
+    assert f"verdict: {verdict}" in out and ("problem: " in out) == (verdict == "NOT OK")
+    assert ("this run is not judged" in out) == (verdict == "UNKNOWN")
+
+
 @pytest.mark.parametrize("bus", ["loopback:fsai", "vcan0"])
 def test_on_a_virtual_bus_nobody_is_sent_to_a_plug(
     bus: str, silent: tuple[Frames, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -215,6 +215,14 @@ def test_a_certain_steering_error_must_stop_the_car_in_time(off_for_ms: int, rea
     assert verdict.ok is ok, verdict.faults
 
 
+def test_reactions_to_what_is_certainly_wrong_are_timed_from_one_zero() -> None:
+    reacts = {"brake_from_ms": 310, "torque_until_ms": 310, "rest_from_ms": 1500}
+    seen = steered(700, **reacts, estop_from_ms=610, then=(620, AsState.EMERGENCY_BRAKE))
+    verdict = judge(case("steering_stuck_rack"), seen, FAULT_NS, ())
+    assert verdict.ok and verdict.onset_ms is not None and verdict.brake_ms is not None
+    assert verdict.reaction_ms == verdict.brake_ms + 300 == 610 - verdict.onset_ms
+
+
 @pytest.mark.parametrize(("runs_for_ms", "ok"), [(150, True), (400, False)])
 def test_speeds_contradicted_by_counts_must_stop_the_car(runs_for_ms: int, ok: bool) -> None:
     """At 4 turns/s the contradiction is sure after 200 ms; a stop is due 100 ms later."""

@@ -121,7 +121,9 @@ def test_status_waits_for_a_node_that_discovery_finds_late(
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:  # a node's port, and nothing is heard of its node
         late.bind(("127.0.0.1", 7400 + 250 * 100 + 10 + 2 * 7))
         assert main(["status"]) == 1
-    assert capsys.readouterr().err.startswith("fsai-vcu status: nothing on /vehicle_state for 2 s; is vcu_bridge")
+    waiting, given_up = capsys.readouterr().err.splitlines()
+    assert waiting == "waiting for /vehicle_state, 2 s at most"
+    assert given_up.startswith("fsai-vcu status: nothing on /vehicle_state for 2 s; is vcu_bridge")
 
 
 @pytest.mark.parametrize("name", ["reset", "status"])

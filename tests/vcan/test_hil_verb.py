@@ -61,6 +61,14 @@ def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlac
     assert place.options["timeout_s"] == 30.0 * place.options["pace"], "by the clock inside"
 
 
+def test_an_option_that_pytest_refuses_is_answered_before_a_kernel_boots(
+    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hil", "--no-such-option", "--results", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == "fsai-vcu hil: unrecognized arguments: --no-such-option\n"
+    assert place.argv == []
+
+
 def test_the_long_tests_are_asked_for_by_name_and_get_more_time(place: FakePlace, tmp_path: Path) -> None:
     assert main(["hil", "--results", str(tmp_path)]) == 0
     usual_s = place.options["timeout_s"]

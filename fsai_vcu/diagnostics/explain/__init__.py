@@ -40,7 +40,6 @@ from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
-from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, ms
 
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
@@ -56,7 +55,6 @@ OF_TIMES: Final = frozenset(
         *("vcu_silent", "vcu_hung", "wheels_stale", "steering_stale", "command_stale", "bus_lost", "backlog"),
     )
 )
-UNEXPLAINED_NS: Final = COMMS_LOST_NS // 2  # of a silence, beside a stall: more has another cause
 BACK_AT_ONCE_NS: Final = 300 * MS  # after a stall what it silenced is there again
 SEPARATE: Final = 5  # of a kind and cause are told one by one
 MOST_INCIDENTS: Final = 100  # of a kind: a log with more is none of a car
@@ -133,12 +131,11 @@ def _of_a_busy_computer(record: Record, incident: Incident) -> Incident:
 
 
 def _explains(record: Record, stall: tuple[int, int], first: Candidate, t_ns: int) -> bool:
-    """True where the silence is that of the stall: next to nothing of it is left beside, and it ends with it."""
-    shared_ns = min(stall[1], t_ns) - max(stall[0], first.t_ns)
+    """True where the silence is that of the stalls, and ends with the longest of them."""
     silent = first.steps[0].can_id
     times = record.frames.t_ns if silent is None else record.times(silent)
     back = np.searchsorted(times, stall[1] + BACK_AT_ONCE_NS) > np.searchsorted(times, stall[1])
-    return t_ns - first.t_ns - shared_ns < UNEXPLAINED_NS and bool(back)
+    return record.recorded.explains(first.t_ns, t_ns) and bool(back)
 
 
 def _told_by(other: Incident, one: Incident) -> bool:

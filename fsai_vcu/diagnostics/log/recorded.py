@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeGuard
 
 from fsai_vcu.files import SETTINGS_BYTES, open_found, read_found
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import ms
 
 LOST_HERE: Final = "lost_in_receive_buffer"
 """In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
 STOOD_STILL: Final = "stood_still_ns"
 """In a segment's JSON file: [from, to] in ns since 1970 of each time at which the recording machine stood still."""
+UNEXPLAINED_NS: Final = COMMS_LOST_NS // 2
+"""The rest of a silence beside the stalls from which on it has another cause."""
 _MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further
 _MOST_STALLS: Final = 1000
 _VIRTUAL: Final = ("vcan", "loopback:", "virtual:", "udp_multicast:")
@@ -47,6 +50,14 @@ class Recorded(NamedTuple):
     def stall(self, begin_ns: int, end_ns: int) -> tuple[int, int] | None:
         """The longest stall that has a moment in that time."""
         return max(self.within(begin_ns, end_ns).stalls_ns, key=lambda each: each[1] - each[0], default=None)
+
+    def explains(self, begin_ns: int, end_ns: int) -> bool:
+        """True where the silence of that time is that of the stalls: next to nothing of it is left beside them."""
+        left_ns, at_ns = end_ns - begin_ns, begin_ns
+        for stall in sorted(self.stalls_ns):  # the logs of a folder tell the same stall more than once
+            left_ns -= max(0, min(stall[1], end_ns) - max(stall[0], at_ns))
+            at_ns = max(at_ns, stall[1])
+        return left_ns < UNEXPLAINED_NS
 
     @property
     def standstill(self) -> str:

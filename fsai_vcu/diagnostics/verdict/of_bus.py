@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
+from msgspec.structs import replace
+
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import DEAD_NS
 from fsai_vcu.diagnostics.finding import Finding
@@ -140,12 +142,13 @@ class _Judge:
         ids: int | tuple[int, ...] = (),
         t_s: float | None = None,
         remedy: str = "",
+        lasts_ns: int = 0,
     ) -> Finding:
         """Make a finding; `remedy`: its place in the table, where it is not the kind."""
         t_ns = None if t_s is None else round(t_s * S)
         to_do = remedy_of(remedy or kind, self.known.setting) if grave else ""
         can_ids = (ids,) if isinstance(ids, int) else ids
-        return Finding("problem" if grave else "note", kind, words, to_do, t_ns, can_ids, self.bus.channel)
+        return Finding("problem" if grave else "note", kind, words, to_do, t_ns, can_ids, self.bus.channel, lasts_ns)
 
     def _times(self) -> Iterator[Finding]:
         bus = self.bus
@@ -202,7 +205,8 @@ class _Judge:
             text = (
                 f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"
             )
-            yield self._finding(True, "handshake", text, 0x510, handshake.missed_at_s)
+            lasts_ns = round((handshake.missed_last_s or 0.0) * S) - round(missed_ns) + COMMS_LOST_NS
+            yield self._finding(True, "handshake", text, 0x510, handshake.missed_at_s, lasts_ns=lasts_ns)
         elif handshake.response_ms.p99_ms is not None and handshake.response_ms.p99_ms * MS > PERIOD_NS:
             text = f"handshake answered within {handshake.response_ms.p99_ms:.1f} ms (p99): slow"
             yield self._finding(False, "handshake", text, 0x510)
@@ -346,17 +350,18 @@ class _Judge:
     def _pause(self, pause: list[_Pause]) -> Finding:
         ids = tuple(sorted(one.message.can_id for one in pause))
         grave = any(one.grave for one in pause)
-        text, begin_ns, messages = pause[0].words, pause[0].begin_ns, len(self.bus.messages)
+        text, messages = pause[0].words, len(self.bus.messages)
+        begin_ns, length_ns = pause[0].begin_ns, pause[0].length_ns
         if len(pause) >= MANY:
             begin_ns, length_ns = _shared(pause)
             text = f"a pause of {length_ns / MS:.0f} ms of {_whose(ids, messages)}"
             if any(abs(end_ns - begin_ns - length_ns) <= DEAD_NS for end_ns in self.known.perhaps_set_ns):
                 text += ", or the log's clock was set forward"
-        finding = self._finding(grave, "gap", text, ids, begin_ns / S)
+        finding = self._finding(grave, "gap", text, ids, begin_ns / S, lasts_ns=length_ns)
         if len(pause) < MANY or len(ids) < messages or not grave:
             return finding
         both = f"{remedy_of('recorder')}; {remedy_of('bus_lost', self.known.setting)}"
-        return Finding(finding.severity, "gap", text, both, finding.t_ns, ids, finding.channel)
+        return replace(finding, remedy=both)
 
 
 def _covers(named: int | None, can_id: int) -> bool:

@@ -291,10 +291,10 @@ def by_times(finding: Finding) -> bool:
 
 
 def of_the_recording(finding: Finding, recorded: Recorded) -> bool:
-    """True for a finding on gaps of a log whose computer lost frames, or stood still at that time."""
+    """True for a finding on gaps of a log whose computer lost frames, or stood still for as long as the gap lasts."""
     if finding.kind not in _BY_GAPS:
         return False
-    if recorded.lost:
-        return True
-    t_ns = finding.t_ns
-    return t_ns is not None and recorded.stall(t_ns, t_ns + COMMS_LOST_NS) is not None
+    if recorded.lost or finding.t_ns is None:
+        return bool(recorded.lost)
+    lasts_ns = finding.t_ns, finding.t_ns + finding.lasts_ns
+    return recorded.stall(*lasts_ns) is not None and recorded.explains(*lasts_ns)

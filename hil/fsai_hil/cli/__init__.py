@@ -6,7 +6,7 @@ from typing import Final
 VERBS: Final = {
     "drive": (
         "fsai_hil.cli.drive",
-        "drive a mission against the simulated car, in lockstep, without ROS or hardware",
+        "drive a mission, or one with a fault, against the simulated car, without ROS or hardware",
         "simulate",
     ),
     "track": ("fsai_hil.cli.track", "make a circuit by the rules from a seed, or say what a track is", "simulate"),
@@ -19,7 +19,7 @@ VERBS: Final = {
     "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0", "your stack"),
     "rehearse": (
         "fsai_hil.cli.rehearse",
-        "put any AI-side program through what scrutineering and the interface specification ask",
+        "put your CAN node, or any AI-side program, through what scrutineering and the specification ask",
         "your stack",
     ),
     "scrutineering": (

@@ -6,8 +6,10 @@ import argparse
 import compileall
 import math
 import os
+import re
 import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
@@ -96,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
     if find_spec("pytest") is None:
         raise UserError(f"the suite needs what tests need: make -C {CHECKOUT} setup-for-tests")
     own = [own_program(each) for each in args.own]
+    if any(word.startswith("-") for word in args.pytest_args):
+        _refuse_unknown(args)
     # A polite kill ends everything properly, as Ctrl-C does: the logs are still to be put into their place.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -132,6 +136,15 @@ def run(args: argparse.Namespace) -> int:
     if status:
         print(f"fsai-vcu hil: the logs of the processes are in {results}", file=sys.stderr)
     return status
+
+
+def _refuse_unknown(args: argparse.Namespace) -> None:
+    """Let pytest parse its options before a kernel is booted for it. Raises WrongUse."""
+    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--markers", *_selection(args)]
+    parsed = subprocess.run(words, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+    if parsed.returncode:
+        wrong = re.search(r"error: (.*)", parsed.stderr)
+        raise WrongUse(wrong[1] if wrong else (parsed.stderr.strip().splitlines() or ["pytest refuses that"])[-1])
 
 
 def own_program(given: str) -> str:

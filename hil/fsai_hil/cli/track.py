@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from textwrap import fill
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from fsai_hil.simulator.tracks.walking import BEFORE_M
 from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import resampled_ring
+from fsai_vcu.diagnostics.statistics.measure import as_json
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.printable import drawn
 
@@ -43,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--style", choices=list(STYLES), help="with --seed: what it is made of (mixed)")
     add("-o", "--output", type=Path, metavar="FILE.csv", help="save the track")
     add("--plot", type=Path, metavar="FILE.png", help="save a picture of the track")
+    add("--json", action="store_true", help="print the facts as one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,13 +56,14 @@ def run(args: argparse.Namespace) -> int:
     name = args.track or f"generated-{args.seed}{f'-{args.style}' if args.style else ''}"
     try:
         track = load_track(name)
-        print("\n".join(_facts(track)))
+        facts = _facts(track)
+        print(json.dumps(as_json(facts, 3)) if args.json else "\n".join(_words(facts)))
         if args.output:
             args.output.write_text(as_csv(track, track.staging(_mission(track), NOSE_M)), encoding="utf-8")
-            print(f"saved {args.output}")
+            print(f"saved {args.output}", file=sys.stderr if args.json else sys.stdout)
         if args.plot:
-            _draw(track, args.plot)
-            print(f"saved {args.plot}")
+            _draw(track, args.plot, _title(facts))
+            print(f"saved {args.plot}", file=sys.stderr if args.json else sys.stdout)
     except OSError as error:
         raise UserError(f"{error.filename}: {error.strerror}") from error
     except ValueError as error:
@@ -72,33 +77,58 @@ def _mission(track: Track) -> Ami:
     return kinds.get(track.kind, Ami.AUTOCROSS)
 
 
-def _facts(track: Track) -> Iterator[str]:
-    """Yield the facts of a track, a line for each."""
+def _facts(track: Track) -> dict[str, Any]:
+    """Facts of a track; None: it has no such thing."""
     colors = Counter(ConeColor(color).name.lower() for color in track.cone_colors)
-    yield f"{track.name}: {track.kind.value}" + (f", {track.length_m:.0f} m" if track.length_m else "")
-    yield f"cones: {', '.join(f'{count} {color}' for color, count in colors.most_common()) or 'none'}"
+    facts: dict[str, Any] = {
+        "name": track.name,
+        "kind": track.kind.value,
+        "length_m": track.length_m or None,
+        "cones": dict(colors.most_common()),
+        **dict.fromkeys(("start_line", "car", "tightest_radius_m", "lane_m")),
+    }
     if line := track.start_line:
-        way = f"crossed towards {math.degrees(line.yaw_rad):.0f} deg"
-        yield f"start line: {_at(line)}, {way}: {track.line_by}"
+        facts["start_line"] = {**_place(line), "known_by": track.line_by}
         start = track.staging(_mission(track), NOSE_M)
-        yield f"car: {_at(start)}, its nose {_before_m(track, line, start):.1f} m before the line"
+        facts["car"] = {**_place(start), "before_line_m": _before_m(track, line, start)}
     if not track.closed or track.centreline_m is None:
-        return
+        return facts
     middle = resampled_ring(track.centreline_m, STEP_M)
     ahead, behind = (np.roll(middle, shift, axis=0) - middle for shift in (-OVER, OVER))
     turn = np.arctan2(ahead[:, 1], ahead[:, 0]) - np.arctan2(-behind[:, 1], -behind[:, 0])
     bend = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi)
-    yield f"tightest radius of the middle of the lane: {OVER * STEP_M / bend.max():.1f} m"
+    facts["tightest_radius_m"] = float(OVER * STEP_M / bend.max())
     sides = [
         resampled_ring(border, STEP_M) for border in (track.left_border_m, track.right_border_m) if border is not None
     ]
     width = sum(np.hypot(*(middle[:, None] - side[None]).T).min(axis=0) for side in sides)
-    yield f"lane: {np.min(width):.1f} to {np.max(width):.1f} m wide"
+    facts["lane_m"] = [float(np.min(width)), float(np.max(width))]
+    return facts
 
 
-def _at(pose: Pose) -> str:
+def _words(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the facts of a track, a line for each."""
+    yield _title(facts)
+    yield f"cones: {', '.join(f'{count} {color}' for color, count in facts['cones'].items()) or 'none'}"
+    if line := facts["start_line"]:
+        yield f"start line: {_at(line)}, crossed towards {line['yaw_deg']:.0f} deg: {line['known_by']}"
+        yield f"car: {_at(facts['car'])}, its nose {facts['car']['before_line_m']:.1f} m before the line"
+    if lane_m := facts["lane_m"]:
+        yield f"tightest radius of the middle of the lane: {facts['tightest_radius_m']:.1f} m"
+        yield f"lane: {lane_m[0]:.1f} to {lane_m[1]:.1f} m wide"
+
+
+def _title(facts: Mapping[str, Any]) -> str:
+    return f"{facts['name']}: {facts['kind']}" + (f", {facts['length_m']:.0f} m" if facts["length_m"] else "")
+
+
+def _place(pose: Pose) -> dict[str, Any]:
     x_m, y_m = (round(value, 2) + 0.0 for value in (pose.x_m, pose.y_m))  # -0.0 is 0
-    return f"{x_m:.2f}, {y_m:.2f} m"
+    return {"x_m": x_m, "y_m": y_m, "yaw_deg": math.degrees(pose.yaw_rad)}
+
+
+def _at(place: Mapping[str, Any]) -> str:
+    return f"{place['x_m']:.2f}, {place['y_m']:.2f} m"
 
 
 def _before_m(track: Track, line: Pose, start: Pose) -> float:
@@ -111,7 +141,7 @@ def _before_m(track: Track, line: Pose, start: Pose) -> float:
     return track.length_m - step_m * float(np.argmin(np.hypot(*(track.centreline_m - nose).T)))
 
 
-def _draw(track: Track, path: Path) -> None:
+def _draw(track: Track, path: Path, title: str) -> None:
     """Draw the track with the car at its start into a file."""
     path.parent.stat()  # before seconds go into matplotlib: it fails where there is no such folder
     try:
@@ -131,7 +161,7 @@ def _draw(track: Track, path: Path) -> None:
             plan.plot(*np.vstack([box, box[:1]]).T, color="#203864", linewidth=0.8, label=name)
         plan.annotate("", start.ahead(NOSE_M + 4.0), start.ahead(NOSE_M), arrowprops={"arrowstyle": "->"})
         plan.legend(loc="best")
-    plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=drawn(next(_facts(track))))
+    plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=drawn(title))
     try:
         figure.savefig(path)
     finally:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
+from fsai_hil.evidence.campaign.demands import End, Onset
 from fsai_hil.evidence.campaign.scenario import Scenario
 from fsai_hil.evidence.campaign.verdict import CaseVerdict
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.reasons import words_of
 from fsai_vcu.interface.units import MS
 
+FIRST: Final[Mapping[End, str]] = {
+    End.ESTOP: "ESTOP_REQUEST",
+    End.SELF: "EMERGENCY_BRAKE",
+    End.STOP: "service brake",
+}
+"""End of a run -> its reaction that is timed; of the others it is torque 0."""
 PEDALS_SHOWN = 20  # a driver changes pedals all the time: the first few show what the reaction was
 
 
@@ -82,7 +91,21 @@ class ScenarioNarrator:
             lines.append(
                 "(here no reaction is demanded: not in AS_DRIVING after its first 3 s, or the mission was over)"
             )
-        reaction = "" if verdict.reaction_ms is None else f", reaction after {verdict.reaction_ms:.0f} ms"
-        safe = "" if verdict.safe_ms is None else f", safe after {verdict.safe_ms:.0f} ms"
-        lines.append(f"seen: {verdict.reaction}{reaction}{safe}")
+        lines.append(f"seen: {verdict.reaction}{self._times(verdict)}")
         return [*lines, *(f"worse than allowed: {fault}" for fault in verdict.faults)]
+
+    def _times(self, verdict: CaseVerdict) -> str:
+        """The times of the reactions, from the zero from which the demanded ones count, in the same words."""
+        case = self.scenario.case
+        onset = case.kind.must.demand(case.params).onset if verdict.applies else Onset.FAULT
+        both = verdict.end is End.ESTOP and onset is not Onset.FAULT
+        named = (
+            ("service brake", verdict.brake_ms if both else None),
+            (FIRST.get(verdict.end, "torque 0"), verdict.reaction_ms),
+            ("safe", verdict.safe_ms),
+        )
+        times = ", ".join(f"{what} after {ms:.0f} ms" for what, ms in named if ms is not None)
+        if not times:
+            return ""
+        since = "" if onset is Onset.FAULT else f" of {onset.value}, at {verdict.onset_ms:+.0f} ms"
+        return f" ({times}{since})"

@@ -36,7 +36,9 @@ STREAKS: Final = {Onset.STEERING: steering_streaks, Onset.COUNTS: count_streaks,
 
 
 class CaseVerdict(Value, frozen=True):
-    """`faults` is empty when the run is as the rules demand. Times in ms from the fault; None: there was none."""
+    """`faults` is empty when the run is as the rules demand. Times in ms from the onset of its demand: the fault, or a
+    value that is certainly implausible; `onset_ms` from the fault; None: there was none.
+    """
 
     end: End
     reaction: str  # what was seen, in words
@@ -44,6 +46,8 @@ class CaseVerdict(Value, frozen=True):
     safe_ms: float | None
     applies: bool  # False: the mission was over, or the car not driving, before anything could be demanded
     faults: tuple[str, ...]
+    onset_ms: float | None = None
+    brake_ms: float | None = None  # since when the brake that ended the run was on
 
     @property
     def ok(self) -> bool:
@@ -119,7 +123,16 @@ def judge(
         wrong.append(end.value)
     if applies and replace(demand, note="") == NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
-    return CaseVerdict(end, reaction, _ms(reaction_ns, onset_ns), _ms(safe_ns, onset_ns), applies, tuple(wrong))
+    return CaseVerdict(
+        end,
+        reaction,
+        _ms(reaction_ns, onset_ns),
+        _ms(safe_ns, onset_ns),
+        applies,
+        tuple(wrong),
+        _ms(onset_ns, fault_ns),
+        _ms(found.braking_ns, onset_ns),
+    )
 
 
 def _onset_ns(streaks: Sequence[Streak], reaction_ns: int | None) -> int | None:
