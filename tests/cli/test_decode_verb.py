@@ -6,7 +6,6 @@ import json
 import os
 import random
 import re
-import resource
 import subprocess
 import sys
 import threading
@@ -104,24 +103,6 @@ def test_a_broken_log_is_decoded_up_to_the_break_and_fails(tmp_path: Path, capsy
     assert lines[0] == f"fsai-vcu decode: {path}: line 2: not text: '\\xff\\x00\\xfe'"
     assert lines[-1] == f"fsai-vcu decode: {path}: 3 more lines or frames that cannot be read"
     assert len(lines) == 6
-
-
-@pytest.mark.parametrize(
-    ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("check", ""), ("explain", "")]
-)
-def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered: str, log: Path) -> None:
-    log.write_text(GOOD * 20_000)
-    with log.with_name("out.txt").open("w") as out:
-        done = subprocess.run(
-            [sys.executable, "-m", "fsai_vcu.cli.main", verb, str(log)],
-            stdout=out,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)),
-        )
-    assert "cannot write the output: File too large" in done.stderr and done.stderr.count("\n") == 1
-    assert done.returncode == 1
 
 
 def test_each_line_of_a_pipe_is_shown_before_the_next_one() -> None:
