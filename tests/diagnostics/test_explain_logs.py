@@ -348,7 +348,7 @@ def test_the_regular_end_is_not_blamed_on_what_lasted_long(can_id: int, mask: in
     [
         (driving, "2026"),
         (lambda: inspection("specification", "2021"), "2021"),
-        (lambda: inspection("official-simulator", "2026"), "2026"),
+        pytest.param(lambda: inspection("official-simulator", "2026"), "2026", marks=pytest.mark.long),
     ],
 )
 def test_a_good_run_has_no_incident_and_no_warning(begun: Callable[[], Run], rev: str) -> None:

@@ -37,8 +37,11 @@ def oval(**changes: object) -> WorldSetup:
 
 
 def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
-    """To the moment in AS_DRIVING when the car has reached a speed."""
-    while lockstep.world.vcu.state is not AsState.AS_DRIVING or lockstep.world.car.speed_mps < speed_mps:
+    """To the moment in AS_DRIVING when the car has reached a speed, with cones from 4 s of AS_READY on."""
+    vcu = lockstep.world.vcu
+    while vcu.state is not AsState.AS_DRIVING or lockstep.world.car.speed_mps < speed_mps:
+        ready = vcu.state is AsState.AS_READY and vcu.in_state_ns > 4 * S
+        lockstep.detects = ready or vcu.state is AsState.AS_DRIVING
         lockstep.step()
         assert lockstep.now_ns < 60 * S, "the car never drove"
 
