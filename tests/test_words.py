@@ -18,9 +18,14 @@ LONG = 15  # lines: a caller should not have to read a function of that length
 REFUSED = re.compile(r"\b(anew|for good|of ours|surely|the way driven|one beside the bus)\b", re.IGNORECASE)
 
 
+@cache
+def nodes_in(path: Path) -> list[ast.AST]:
+    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+
+
 def messages(path: Path) -> Iterator[tuple[int, str]]:
     """The texts of a module that somebody may read, docstrings too, with their lines."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_in(path):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.lineno, node.value
 
@@ -32,7 +37,7 @@ def nodes_of(folders: tuple[str, ...]) -> list[tuple[str, ast.AST]]:
         (str(path.relative_to(CHECKOUT)), node)
         for folder in folders
         for path in sorted((CHECKOUT / folder).rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes_in(path)
         if isinstance(node, (ast.Expr, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
     ]
 

@@ -15,7 +15,7 @@ from fsai_vcu.cli.main import all_verbs, main
 
 # A process for each situation, in which every verb runs in a fork of its own: Python is started once.
 RUNNER = """
-import json, os, signal, sys
+import io, json, os, resource, signal, sys
 import fsai_vcu.cli.start as start
 from fsai_vcu.cli.main import all_verbs, module_of
 
@@ -43,6 +43,13 @@ def told(words, after, how):
             reader, gone = os.pipe()
             os.close(reader)
             os.dup2(gone, 1)
+        elif how == "disk full":
+            os.dup2(os.open("/dev/full", os.O_WRONLY), 1)
+        elif how.startswith("disk takes a part"):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+            os.dup2(os.open("out.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
+            if how.endswith("unbuffered"):
+                sys.stdout = io.TextIOWrapper(open(1, "wb", 0), write_through=True)
         elif how == "stdout closed":
             os.close(1)
             sys.stdout = None
@@ -93,6 +100,18 @@ USES = {
 """Uses that end at once, without a car; of other verbs the help is asked for."""
 
 
+CLOSED = ("stdout", "stderr")
+GONE = [
+    *("--help", "reference", "completion bash", "explain --help", "campaign --list"),
+    *("dump run.log", "track small_oval", "monitor run.log --rate 0 --json"),
+]
+"""With a reader that has gone."""
+DISKS = {
+    "disk full": ["--help", "reference", "completion bash"],
+    "disk takes a part": ["decode run.log", "dump run.log", "check run.log --figures", "explain run.log --timeline"],
+    "disk takes a part, unbuffered": ["decode run.log"],
+}
+
 Use = tuple[list[str], int, str]
 """Its words, after how many imports it is interrupted (0: it is not), and what its output is."""
 
@@ -106,14 +125,25 @@ def run_each(uses: list[Use], folder: Path, **environment: str) -> list[tuple[Us
     return [(use, status, said) for use, (status, said) in zip(uses, found, strict=True)]
 
 
+POOR = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
+
+
 def test_no_verb_answers_an_output_with_a_traceback(tmp_path: Path) -> None:
+    """ASCII alone, an output that is closed, a reader that has gone, a full disk, one that takes a part of it."""
     every = [USES[verb].split() if verb in USES else [verb, "--help"] for verb in all_verbs()]
-    poor = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
-    found = run_each([(words, 0, "ascii") for words in every], tmp_path, **poor)
-    closed = ("reader gone", "stdout closed", "stderr closed")
-    found += run_each([(USES[verb].split(), 0, how) for verb in ("check", "dump", "track") for how in closed], tmp_path)
-    for use, status, said in found:
+    uses = [(words, 0, "ascii") for words in every]
+    uses += [(USES[verb].split(), 0, f"{name} closed") for verb in ("check", "dump", "track") for name in CLOSED]
+    uses += [(words.split(), 0, "reader gone") for words in GONE]
+    uses += [(words.split(), 0, how) for how, many in DISKS.items() for words in many]
+    for use, status, said in run_each(uses, tmp_path, **POOR):
+        words, _, how = use
         assert "Traceback" not in said and "Exception ignored" not in said and status in (0, 1), (use, status, said)
+        if how == "reader gone":
+            assert (status, said) == (0, ""), (use, status, said)
+        elif how.startswith("disk"):
+            why = "No space left on device" if how == "disk full" else "File too large"
+            told = f"fsai-vcu {words[0]}: cannot write the output: {why}\n"
+            assert (status, said) == (1, told), (use, status, said)
 
 
 def test_ctrl_c_while_a_verb_loads_is_answered_in_a_line(tmp_path: Path) -> None:
@@ -126,8 +156,19 @@ def test_ctrl_c_while_a_verb_loads_is_answered_in_a_line(tmp_path: Path) -> None
             assert status == 0 and "Traceback" not in said, (use, said)
 
 
-def test_ctrl_c_while_a_verb_works_is_answered_in_a_line(tmp_path: Path) -> None:
-    uses = [(USES[verb].split(), after, "") for verb in ("check", "explain", "plot") for after in (150, 300, 500)]
+INTERRUPTED = {verb: USES[verb].split() for verb in ("check", "explain", "plot")}
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        {"check": (150,), "explain": (300,), "plot": (500,)},
+        pytest.param(dict.fromkeys(INTERRUPTED, (150, 300, 500)), marks=pytest.mark.long),
+    ],
+    ids=["one moment of each", "all"],
+)
+def test_ctrl_c_while_a_verb_works_is_answered_in_a_line(after: dict[str, tuple[int, ...]], tmp_path: Path) -> None:
+    uses = [(INTERRUPTED[verb], imports, "") for verb, many in after.items() for imports in many]
     for use, status, said in run_each(uses, tmp_path):
         assert "Traceback" not in said, (use, said)
         assert status in (0, 1) or (status, said) == (130, f"fsai-vcu {use[0][0]}: interrupted\n"), (use, status, said)
@@ -139,34 +180,32 @@ def test_ctrl_c_while_a_verb_works_is_answered_in_a_line(tmp_path: Path) -> None
 NAMES = ("run 12,5 kmh.log", "day 1, wet/a,b.log", "-dash.log")
 
 
-@pytest.mark.parametrize("name", NAMES)
+def words_of(use: str, log: str) -> list[str]:
+    """The use with that log: one whose name begins with a dash stands behind two of them, with what follows it."""
+    words = [word.format(log) for word in use.split()]
+    if not log.startswith("-"):
+        return words
+    behind = [word for word in words if word in (log, "AS_STATE")]
+    return [*(word for word in words if word not in behind), "--", *behind]
+
+
 @pytest.mark.parametrize("use", [
     "check {}", "explain {}", "dump {}", "decode {}", "report {} -o x.html", "plot {} AS_STATE -o x.html",
     "compare {} {}", "export {} --to csv -o tables", "monitor {} --rate 0", "replay {} -i loopback:names --rate 1000",
 ])  # fmt: skip
 def test_a_log_is_found_by_its_name_whatever_is_in_it(
-    use: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    use: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     said = {}
-    for each in ("plain.log", name):
-        Path(each).parent.mkdir(exist_ok=True)
-        Path(each).write_text(LOG.replace("510", "514"))
-        words = [word.format(each) for word in use.split()]
-        if each.startswith("-"):
-            logs = [word for word in words if word == each]
-            words = [word for word in words if word != each]
-            words += ["--", *logs, *(["AS_STATE"] if "AS_STATE" in words else [])]
-            words = (
-                words
-                if "plot" not in words
-                else [w for n, w in enumerate(words) if w != "AS_STATE" or n == len(words) - 1]
-            )
-        status = main(words)
+    for name in ("plain.log", *NAMES):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(LOG.replace("510", "514"))
+        status = main(words_of(use, name))
         out = capsys.readouterr()
-        said[each] = status, "no filter" in out.err, "No such file" in out.err
+        said[name] = status, "no filter" in out.err, "No such file" in out.err
         shutil.rmtree("tables", ignore_errors=True)
-    assert said["plain.log"] == said[name] and said[name][1:] == (False, False)
+    assert said == dict.fromkeys(said, (said["plain.log"][0], False, False))
 
 
 def test_filters_are_looked_for_behind_the_name(

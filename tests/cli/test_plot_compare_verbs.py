@@ -20,20 +20,15 @@ def log(path: Path, *, period_ms: int = 10, angle: int = 50) -> Path:
     return path
 
 
-def test_chosen_signals_are_drawn_with_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_chosen_signals_are_drawn_into_the_file_that_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever its name ends in."""
     pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'fsai-vcu[plot]'")
-    picture = tmp_path / "angle.png"
-    assert main(["plot", str(log(tmp_path / "a.log")), "ANGLE", "*.ANGLE_MAX", "-o", str(picture)]) == 0
+    run, picture = str(log(tmp_path / "a.log")), tmp_path / "angle"
+    assert main(["plot", run, "ANGLE", "*.ANGLE_MAX", "-o", str(picture)]) == 0
     assert capsys.readouterr().out == f"saved {picture}: VCU2AI_Steer.ANGLE, VCU2AI_Steer.ANGLE_MAX\n"
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_picture_has_the_name_that_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'fsai-vcu[plot]'")
-    run = str(log(tmp_path / "a.log"))
-    assert main(["plot", run, "ANGLE", "-o", str(tmp_path / "angle")]) == 0
-    assert (tmp_path / "angle").read_bytes().startswith(b"\x89PNG")
-    capsys.readouterr()
     assert main(["plot", run, "ANGLE", "-o", "/nowhere/angle.png"]) == 1
     assert capsys.readouterr().err == "fsai-vcu plot: cannot write /nowhere/angle.png: No such file or directory\n"
 

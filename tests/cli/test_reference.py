@@ -107,25 +107,21 @@ def test_the_manual_page_is_taken_by_roff_without_a_warning() -> None:
     assert "emergency" in done.stdout
 
 
-GONE = [["--help"], ["reference"], ["completion", "bash"], ["explain", "--help"], ["campaign", "--list"]]
-
-
-@pytest.mark.parametrize("argv", GONE)
-def test_a_reader_that_has_gone_is_no_error(argv: list[str]) -> None:
+# Of every verb and every output: test_every_verb.py.
+def test_a_reader_that_has_gone_is_no_error() -> None:
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        process = [sys.executable, "-m", "fsai_vcu.cli.main", *argv]
+        process = [sys.executable, "-m", "fsai_vcu.cli.main", "--help"]
         done = subprocess.run(process, stdout=writer, stderr=subprocess.PIPE, text=True, env=BUFFERED)
     finally:
         os.close(writer)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("argv", [["--help"], ["reference"], ["completion", "bash"]])
-def test_a_full_disk_is_one_clear_line(argv: list[str]) -> None:
+def test_a_full_disk_is_one_clear_line() -> None:
     with Path("/dev/full").open("w") as full:
-        process = [sys.executable, "-m", "fsai_vcu.cli.main", *argv]
+        process = [sys.executable, "-m", "fsai_vcu.cli.main", "--help"]
         done = subprocess.run(process, stdout=full, stderr=subprocess.PIPE, text=True, env=BUFFERED)
-    verb = " ".join(["fsai-vcu", *argv[:1]])
-    assert (done.returncode, done.stderr) == (1, f"{verb}: cannot write the output: No space left on device\n")
+    said = "fsai-vcu --help: cannot write the output: No space left on device\n"
+    assert (done.returncode, done.stderr) == (1, said)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import driven_rpm
@@ -32,6 +33,7 @@ class InTheAir:
     inertia_kgm2: float = 2.0
     friction_nm: float = 3.0
     steer_stuck: bool = False
+    settings: ControllerSettings = field(default_factory=ControllerSettings)
     t_ns: int = 0
     rpm: float = 0.0
     steer: float = 0.0
@@ -40,7 +42,7 @@ class InTheAir:
     steers: list[float] = field(default_factory=list)
 
     def run(self, seconds: float) -> None:
-        controller = Controller(self.car)
+        controller = Controller(self.car, self.settings)
         run = Run(5, self.mission, AsState.AS_DRIVING, may_move=True)
         controller.reset(run)
         for _ in range(round(seconds * 1e9 / STEP_NS)):
@@ -88,6 +90,17 @@ def test_inspection_a_spins_up_in_10_s_and_rests_in_5_s(
     assert stand.time_s(rest) - stand.time_s(finished) < 5.0
     assert all(command.mission_finished for command in stand.commands[finished:])
     assert not any(command.estop_request for command in stand.commands)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("mission", "inertia"),
+    [(Ami.STATIC_INSPECTION_A, 2.0), (Ami.AUTONOMOUS_DEMO, 20.0)],  # of wheels in the air, of the whole car
+)
+def test_max_speed_is_kept_without_a_path(car: VehicleParameters, mission: Ami, inertia: float) -> None:
+    stand = InTheAir(car, mission, inertia, settings=ControllerSettings(max_speed_mps=3.0))
+    stand.run(30.0)
+    assert 2.5 < car.speed_of_wheel_rpm(max(stand.rpms)) < 3.0 * 1.03
 
 
 @BOTH

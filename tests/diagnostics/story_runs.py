@@ -23,6 +23,7 @@ from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import S
 
 Act = Callable[["Run"], None]
 
@@ -113,8 +114,11 @@ def setup(**changes: object) -> WorldSetup:
 
 @cache
 def driving(revision: str = "2026", profile: str = "specification") -> Run:
-    """In AS_DRIVING at 3 m/s, accelerating."""
+    """In AS_DRIVING at 3 m/s, accelerating. Cones are first seen 4 s into AS_READY: to plan earlier shows nothing."""
     run = Run.of(setup(revision=revision, profile=profile))
+    run.lockstep.detects = False
+    run.until(lambda: run.state_is(AsState.AS_READY) and run.lockstep.world.vcu.in_state_ns >= 4 * S)
+    run.lockstep.detects = True
     run.until(lambda: run.state_is(AsState.AS_DRIVING) and run.lockstep.world.car.speed_mps >= 3.0)
     return run
 

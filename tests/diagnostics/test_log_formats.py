@@ -740,8 +740,11 @@ def mf4(tmp_path: Path, *, virtual: dict[str, float], unfinished: bool = False) 
     return path
 
 
-@pytest.mark.parametrize("unfinished", [False, True], ids=["finalized", "not finalized"])
-@pytest.mark.parametrize("virtual", [{}, {"BusChannel": 3.0}, {"IDE": 0.0, "Dir": 1.0, "BusChannel": 1.0}], ids=len)
+@pytest.mark.parametrize(  # none and finalized: those of test_logs.py
+    ("virtual", "unfinished"),
+    [({}, True), ({"BusChannel": 3.0}, False), ({"IDE": 0.0, "Dir": 1.0, "BusChannel": 1.0}, True)],
+    ids=["none, not finalized", "one, finalized", "three, not finalized"],
+)
 def test_mf4_frames_are_what_their_own_conversions_say(
     virtual: dict[str, float], unfinished: bool, tmp_path: Path
 ) -> None:

@@ -27,7 +27,8 @@ pytestmark = needs_browser
 
 NAME = "can0 <b>& its</b> <script>document.title = 'taken'</script>"
 T = TypeVar("T")
-SCREENS = [(1600, 900), (1024, 768), (390, 844)]
+# Of a scheme only the colours differ.
+SCREENS = [(1600, 900, "light"), (1024, 768, "dark"), (390, 844, "light")]
 
 
 @pytest.fixture(scope="module")
@@ -195,45 +196,36 @@ def states(driving: tuple[Any, Any], with_nodes: tuple[Any, Any]) -> list[dict[s
 
 
 PLACES = (
-    "return [...document.querySelectorAll('main section')].map((one) => {"
+    "[...document.querySelectorAll('main section')].map((one) => {"
     " const box = one.getBoundingClientRect(); return [one.id, box.x, box.y, box.width, box.height]; })"
 )
 
 
-@pytest.mark.parametrize(("width", "height"), SCREENS)
-def test_the_grid_does_not_move_when_the_state_changes(
-    browser: Chrome, driving: tuple[Any, Any], states: list[dict[str, Any]], width: int, height: int
+@pytest.mark.parametrize(("width", "height", "scheme"), SCREENS)
+def test_no_state_cuts_anything_off_or_moves_the_grid(
+    browser: Chrome, with_nodes: tuple[Any, Any], states: list[dict[str, Any]], width: int, height: int, scheme: str
 ) -> None:
     silent = {**state_of(Picture(0, "can0", "2026", "", 0)), "clock": "", "pose": [0, 0, 0], "run": "1"}
-    set_screen(browser, width, height, mobile=width < 700, scheme="light")
+    set_screen(browser, width, height, mobile=width < 700, scheme=scheme)
     places: list[Any] = []
+    look = f"return [{PLACES}, {CUT}, {SIZE}]"
     with Server("127.0.0.1", 0) as server:
         for shown in (*states, silent):
-            with publishing(server, shown, driving[1]):
+            with publishing(server, shown, with_nodes[1]):
                 if not places:
                     opened(browser, server)
                 name = shown["as_state"] or "no AS state"
                 until(browser, lambda name=name: text(browser, "state") == name)  # type: ignore[misc]
-                places.append(while_fresh(browser, lambda: browser.execute_script(PLACES)))
+                found, cut, needed, high = while_fresh(browser, lambda: browser.execute_script(look))
+                places.append(found)
+                if shown is silent:
+                    continue
+                assert cut == []
+                word = browser.find_element(By.ID, "state")
+                lines = word.size["height"] / float(word.value_of_css_property("font-size").removesuffix("px"))
+                assert lines < 1.5, "the AS state is broken into lines"
+                assert needed <= width and (high <= height or width < 1200), "a wall does not scroll"
     assert len(places[0]) == 7 and all(each == places[0] for each in places)
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), SCREENS)
-def test_no_screen_cuts_anything_off(
-    browser: Chrome, with_nodes: tuple[Any, Any], states: list[dict[str, Any]], width: int, height: int, scheme: str
-) -> None:
-    set_screen(browser, width, height, mobile=width < 700, scheme=scheme)
-    for shown in states:
-        with Server("127.0.0.1", 0) as server, publishing(server, shown, with_nodes[1]):
-            opened(browser, server)
-            until(browser, lambda shown=shown: text(browser, "state") == shown["as_state"])  # type: ignore[misc]
-            cut, needed, high = while_fresh(browser, lambda: browser.execute_script(f"return [{CUT}, {SIZE}]"))
-            assert cut == []
-            word = browser.find_element(By.ID, "state")
-            lines = word.size["height"] / float(word.value_of_css_property("font-size").removesuffix("px"))
-            assert lines < 1.5, "the AS state is broken into lines"
-            assert needed <= width and (high <= height or width < 1200), "a wall does not scroll"
 
 
 def test_lost_values_are_grey_at_once_until_they_come_again(

@@ -12,7 +12,7 @@ from browsing import heard, needs_browser, set_screen, started, until
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
-from story_runs import branch, driving, page
+from story_runs import branch, driving
 
 from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.explain import signals as sig
@@ -20,7 +20,7 @@ from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.page.curves import plots
 from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.diagnostics.page.server import Server
-from fsai_vcu.diagnostics.verdict.judging import judged
+from fsai_vcu.diagnostics.verdict.judging import Judged, judged
 from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.lights import LIGHTS
 from fsai_vcu.interface.units import MS
@@ -57,10 +57,15 @@ def frames() -> Frames:
 
 
 @pytest.fixture(scope="module")
-def html(frames: Frames, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def found(frames: Frames) -> Judged:
+    return judged(frames)
+
+
+@pytest.fixture(scope="module")
+def html(found: Judged, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its page has everything on it."""
     path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(page(frames, "a <b>run</b> & its log with a rather long name, 2026-11-21_23-05-17.log"))
+    path.write_text(of_log(found, "a <b>run</b> & its log with a rather long name, 2026-11-21_23-05-17.log"))
     return path
 
 
@@ -88,8 +93,10 @@ def canvases(browser: Chrome) -> list[Any]:
     return browser.find_elements(By.CSS_SELECTOR, "canvas[id^=plot-]")
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "mobile"), [(1280, False), (360, True)], ids=["desk", "phone"])
+# Of a scheme only the colours differ.
+@pytest.mark.parametrize(
+    ("width", "mobile", "scheme"), [(1280, False, "light"), (360, True, "dark")], ids=["desk", "phone"]
+)
 def test_every_plot_is_drawn_and_the_console_is_silent(
     shown: Callable[..., Chrome], width: int, mobile: bool, scheme: str
 ) -> None:
@@ -107,12 +114,13 @@ def test_every_plot_is_drawn_and_the_console_is_silent(
         assert browser.execute_script(COLOURED, lanes, LIGHTS[state].fill) > least, f"{state.label} is not to be seen"
 
 
-@pytest.mark.parametrize("width", [320, 390, 768])
-def test_the_page_is_never_wider_than_the_screen(shown: Callable[..., Chrome], width: int) -> None:
-    browser = shown(width, 800, mobile=width < 700)
-    inner, needed = browser.execute_script("return [innerWidth, document.documentElement.scrollWidth]")
-    assert inner == width
-    assert needed <= width
+def test_the_page_is_never_wider_than_the_screen(shown: Callable[..., Chrome]) -> None:
+    browser = shown(320, 800, mobile=True)
+    for width in (320, 390, 768):
+        set_screen(browser, width, 800, mobile=width < 700, scheme="light")
+        inner, needed = browser.execute_script("return [innerWidth, document.documentElement.scrollWidth]")
+        assert inner == width
+        assert needed <= width
 
 
 def test_nothing_is_requested_but_the_page_itself(shown: Callable[..., Chrome], html: Path) -> None:
@@ -229,9 +237,9 @@ def test_the_slider_shows_state_and_values_of_that_time(shown: Callable[..., Chr
                     assert float(value) == pytest.approx(expected, abs=0.51 * 10**-plot.digits), curve.name
 
 
-def test_a_served_log_is_allowed_all_that_it_needs(browser: Chrome, frames: Frames) -> None:
+def test_a_served_log_is_allowed_all_that_it_needs(browser: Chrome, found: Judged) -> None:
     with Server("127.0.0.1", 0) as server:
-        server.html = of_log(judged(frames), "run.log", whole=False)
+        server.html = of_log(found, "run.log", whole=False)
         browser.get("about:blank")
         heard(browser, "browser")
         browser.get(f"http://127.0.0.1:{server.server_address[1]}/")
@@ -240,9 +248,9 @@ def test_a_served_log_is_allowed_all_that_it_needs(browser: Chrome, frames: Fram
         assert browser.find_element(By.TAG_NAME, "main").value_of_css_property("display") == "grid"
 
 
-def test_a_log_plays_from_its_first_frame_when_it_is_asked_to(browser: Chrome, frames: Frames, tmp_path: Path) -> None:
+def test_a_log_plays_from_its_first_frame_when_it_is_asked_to(browser: Chrome, found: Judged, tmp_path: Path) -> None:
     path = tmp_path / "played.html"
-    path.write_text(of_log(judged(frames), "run.log", rate=8.0))
+    path.write_text(of_log(found, "run.log", rate=8.0))
     browser.get(path.as_uri())
     times = []
 

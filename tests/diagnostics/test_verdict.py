@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -82,29 +83,26 @@ def spoilt_drives(drive: Frames) -> dict[str, tuple[Frames, float]]:
 
 
 @pytest.mark.parametrize("log", ["braked", "two senders", "frozen", "a pause"])
-@pytest.mark.parametrize(
-    ("begin_s", "end_s", "found"), [(-5.0, -1.0, False), (-2.0, 1.5, True), (-0.1, 1.4, True), (1.5, 2.8, None)]
-)
 def test_of_a_part_all_verbs_give_one_verdict(
-    spoilt_drives: dict[str, tuple[Frames, float]],
-    log: str,
-    begin_s: float,
-    end_s: float,
-    found: bool | None,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    spoilt_drives: dict[str, tuple[Frames, float]], log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     frames, at_s = spoilt_drives[log]
     path, page = tmp_path / "run.log", tmp_path / "run.html"
     path.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
-    part = ["--from", f"{at_s + begin_s}", "--to", f"{at_s + end_s}"]
-    told = []
-    for verb in ("check", "explain"):
-        status = main([verb, str(path), *part, "--json"])
-        entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        told.append((status, [one for one in entries if one["type"] in ("finding", "verdict")]))
-    assert told[0] == told[1]
-    assert told[0][0] == (found if found is not None else log != "a pause"), "what lasts into the part counts"
+    for begin_s, end_s, found in (
+        (-5.0, -1.0, False),
+        (-0.1, 1.4, True),
+        (1.5, 2.8, log != "a pause"),  # what lasts into the part counts
+        (-2.0, 1.5, True),
+    ):
+        part = ["--from", f"{at_s + begin_s}", "--to", f"{at_s + end_s}"]
+        told = []
+        for verb in ("check", "explain"):
+            status = main([verb, str(path), *part, "--json"])
+            entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+            told.append((status, [one for one in entries if one["type"] in ("finding", "verdict")]))
+        assert told[0] == told[1]
+        assert told[0][0] == found, part
     assert main(["report", str(path), *part, "-o", str(page)]) == told[0][0]
     assert f"verdict: {told[0][1][-1]['words']}\n" in capsys.readouterr().out
     low, high = json.loads(page.read_text().partition('id="data">')[2].partition("</script>")[0])["extent"]
@@ -239,19 +237,24 @@ def test_a_status_that_repeats_itself_before_a_drive_is_told() -> None:
     assert ("frozen" in kinds(frozen), "frozen" in kinds(waiting.frames)) == (True, False)
 
 
+@cache
+def waiting() -> Frames:
+    """8 s in AS_OFF and what came before them."""
+    return branch(off(), lambda run: None, 8.0).frames
+
+
 @pytest.mark.parametrize("bit", [0, 1])
 @pytest.mark.parametrize(("length_s", "kind"), [(2, "frozen"), (7, "refusal_to_start")])
 def test_a_status_frozen_from_the_first_frame_on_is_told(length_s: int, kind: str, bit: int) -> None:
-    waiting = branch(off(), lambda run: None, 8.0).frames
-    waiting = after(waiting, int(waiting.t_ns[-1]) - length_s * S)
-    word = next(int(word) for word in waiting.word[waiting.can_id == 0x520] if int(word) & 1 == bit)
-    frozen = patched(waiting, 0x520, 2**64 - 1, word, 0, 2**62)
+    sound = after(waiting(), int(waiting().t_ns[-1]) - length_s * S)
+    word = next(int(word) for word in sound.word[sound.can_id == 0x520] if int(word) & 1 == bit)
+    frozen = patched(sound, 0x520, 2**64 - 1, word, 0, 2**62)
     for frames in (frozen, patched(frozen, 0x510, 1, bit, 0, 2**62)):
         (found,) = [one for one in judged(frames).findings if one.severity == "problem"]
         assert found.kind == kind and "the VCU hung" in found.words
     comes_up = patched(frozen, 0x520, 0xF << 16, 0, 0, 2**62)
     for allowed in (
-        waiting,
+        sound,
         patched(frozen, 0x510, 1, 1 - bit, 0, 2**62),  # the VCU waits for an echo
         patched(frozen, 0x520, 1 << 45, 1 << 45, 0, 2**62),  # it says that it misses it
         frozen.only(~np.isin(frozen.can_id, AI_IDS)),

@@ -61,8 +61,11 @@ def negated_angle(frame: Frame) -> Frame:
 
 
 def test_nothing_is_wrong_with_the_log_of_a_right_program(library: Path) -> None:
+    """Boxes that are not on the bus are one short note."""
     verdict = verdict_on(CNode(library), "static-b")
     assert not verdict.problems, said(verdict)
+    (absent,) = (one.words for one in verdict.findings if one.kind == "missing")
+    assert "15 messages of PCAN_GPS" in absent and len(absent) < 150
 
 
 def test_an_inverted_echo_that_the_simulator_took_is_named(library: Path) -> None:
@@ -106,9 +109,3 @@ def test_a_mistake_that_the_car_bore_is_named(library: Path, fault: str, item: s
 def test_a_swapped_sign_of_steering_is_named(library: Path) -> None:
     verdict = verdict_on(CNode(library), "static-a", seconds=28.0, change=negated_angle)
     assert "the steering turns the other way than asked: STEER_REQUEST" in said(verdict)
-
-
-def test_boxes_that_are_not_on_the_bus_are_one_short_note(library: Path) -> None:
-    verdict = verdict_on(CNode(library), "messages")
-    (absent,) = (one.words for one in verdict.findings if one.kind == "missing")
-    assert "15 messages of PCAN_GPS" in absent and len(absent) < 150

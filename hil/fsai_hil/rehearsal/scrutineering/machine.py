@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime, timezone
+from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ def facts(checkout: Path) -> dict[str, Any]:
     }
 
 
+@cache  # the metadata of some hundred packages are read
 def versions() -> dict[str, str]:
     """Return the versions of the packages that are installed."""
     found = {each.name: each.version for each in reversed([*distributions()])}  # the first of a name counts
