@@ -13,20 +13,8 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.abstraction import MARKS
-from fsai_hil.evidence.model import (
-    BOTH,
-    BRAKE,
-    CAR_MESSAGES,
-    COMMANDS,
-    RESTART,
-    SPEEDS,
-    STATUS,
-    TROUBLES,
-    Choice,
-    Scope,
-    Setting,
-)
+from fsai_hil.evidence.environment import BOTH, BRAKE, CAR_MESSAGES, COMMANDS, MARKS, SPEEDS, STATUS, Choice
+from fsai_hil.evidence.model import EVENTS, RESTART, Scope, Setting
 from fsai_hil.rules.numbers import S
 from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
@@ -43,7 +31,7 @@ IMPOSSIBLE: Final = (65535, 65535, 65535, 65535)
 
 _WELL = Choice()
 GO = replace(_WELL, go=True)
-PATH: Final = (_WELL, replace(_WELL, request="autonomous"), GO)
+PATH: Final = (_WELL, replace(_WELL, event="autonomous is asked for"), GO)
 """The choices that bring a car into AS_DRIVING: autonomous asked for, Go after 5 s."""
 
 _SILENT_STANDING = replace(GO, command="none")
@@ -113,10 +101,10 @@ def _over(base: Choice, **values: Iterable[Any]) -> list[Choice]:
 
 
 _PEOPLE: Final[tuple[dict[str, Any], ...]] = (
-    {"request": "manual"},
-    {"request": "autonomous"},
-    {"request": "the emergency brake"},
-    {"request": "reset"},
+    {"event": "manual is asked for"},
+    {"event": "autonomous is asked for"},
+    {"event": "the emergency brake is asked for"},
+    {"event": "reset is asked for"},
     {"asms": False},
     {"tsms": False},
     {"fault": True},
@@ -133,7 +121,7 @@ _PEOPLE: Final[tuple[dict[str, Any], ...]] = (
 _PLANNER: Final = frozenset(("planner",))
 _CONFIRMED: Final = {"ami": (Ami.TRACKDRIVE, Ami.ACCELERATION), "confirm": (BOTH, _PLANNER, BOTH - _PLANNER, NOBODY)}
 _LOST: Final = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
-_TROUBLES: Final = tuple(TROUBLES)
+_TROUBLES: Final = tuple(EVENTS)[:6]
 _EVERY_MARK: Final = frozenset(MARKS)
 _EACH_MARK: Final = [frozenset((mark,)) for mark in MARKS]
 _CONFIG: Final = Setting().config
@@ -228,7 +216,9 @@ def all_scopes() -> tuple[Scope, ...]:
         _scope(
             "power cycle",
             "the car switched off for any time and on again in every state, with and without an emergency; its reset",
-            _each(GO, {"car_off": True}, {"request": "the emergency brake"}, {"request": "reset"}),
+            _each(
+                GO, {"car_off": True}, {"event": "the emergency brake is asked for"}, {"event": "reset is asked for"}
+            ),
             _each(_DRIVES, {}, {"car_off": True}),
         ),
         _scope(
@@ -238,9 +228,15 @@ def all_scopes() -> tuple[Scope, ...]:
                 *(_says(state) for state in AsState),
                 *(_says(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)),
                 _says(_DRIVING, go=False, rpm=MOVING),
-                *_each(_SAYS_DRIVING, {"fault": True}, {"request": "manual"}, {"lost": frozenset((STATUS,))}),
-                *_each(replace(_SAYS_DRIVING, says=_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
-                _says(_READY, request="autonomous"),
+                *_each(
+                    _SAYS_DRIVING, {"fault": True}, {"event": "manual is asked for"}, {"lost": frozenset((STATUS,))}
+                ),
+                *_each(
+                    replace(_SAYS_DRIVING, says=_OFF),
+                    {"event": "the emergency brake is asked for"},
+                    {"event": "reset is asked for"},
+                ),
+                _says(_READY, event="autonomous is asked for"),
             ],
             **_ANY_CAR,
         ),
@@ -249,7 +245,7 @@ def all_scopes() -> tuple[Scope, ...]:
             "a VCU that comes to AS_DRIVING after any time, with Go on or off before it, with no mission on the AMI, "
             "and with SELECTED that never went out whole",
             [
-                *_each(_says(_OFF), {"request": "autonomous"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+                *_each(_says(_OFF), {"event": "autonomous is asked for"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
                 *_each(_says(_READY), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
                 *_each(_says(_DRIVING), {}, {"rpm": MOVING}),
             ],
@@ -283,7 +279,7 @@ def all_scopes() -> tuple[Scope, ...]:
                 *(_says(state) for state in (_OFF, _READY, _DRIVING)),
                 _says(_DRIVING, rpm=MOVING),
                 *(_says(state, event=RESTART) for state in (_OFF, _READY, _DRIVING)),
-                *(_says(state, request="autonomous") for state in (_OFF, _READY)),
+                *(_says(state, event="autonomous is asked for") for state in (_OFF, _READY)),
             ],
             **_ANY_CAR,
         ),
@@ -312,7 +308,13 @@ def all_scopes() -> tuple[Scope, ...]:
         _scope(
             "power-up",
             "a process that enters autonomous by itself: car off and on, manual asked for, wheels turning",
-            _each(GO, {"car_off": True}, {"request": "manual"}, {"request": "sideways"}, {"rpm": MOVING}),
+            _each(
+                GO,
+                {"car_off": True},
+                {"event": "manual is asked for"},
+                {"event": "an unknown mode is asked for"},
+                {"rpm": MOVING},
+            ),
             setting=_AT_POWER_UP,
         ),
         _scope(
@@ -340,8 +342,8 @@ def all_scopes() -> tuple[Scope, ...]:
             [
                 *(_says(state) for state in (_OFF, _READY, _DRIVING)),
                 *_over(_SAYS_DRIVING, event=[_TROUBLES[0], _TROUBLES[1], _TROUBLES[4]]),
-                replace(_SAYS_DRIVING, request="the emergency brake"),
-                _says(_OFF, request="autonomous"),
+                replace(_SAYS_DRIVING, event="the emergency brake is asked for"),
+                _says(_OFF, event="autonomous is asked for"),
             ],
             setting=Setting(config=replace(_CONFIG, listen_only=True)),
             endings={},
