@@ -45,18 +45,20 @@ class Clocks:
         Raises ValueError, which names the file to change, if a time has no declaration.
         """
         self._times: list[str] = []
-        self._left: dict[str, Any] = {}  # by field: what stands there instead
+        self._begin: dict[
+            str, Any
+        ] = {}  # times, and fields that are not searched: as they are before anything happened
         self.ages: list[Ages] = []  # of all times, in the order in which they are taken out
-        hints = get_type_hints(made, include_extras=True)
         parts: list[tuple[str, Clocks]] = []
+        hints = get_type_hints(made, include_extras=True)
         for spec in fields(made):
             name, hint = spec.name, hints[spec.name]
             bare, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-            declared = [note for note in notes if isinstance(note, (Ages, NoAge, NotSearched, Within))]
-            note = given.get(name) or (declared[0] if declared else None)
+            own = [note for note in notes if isinstance(note, (Ages, NoAge, NotSearched, Within))]
+            note = given.get(name) or (own[0] if own else None)
             kind = _kind_in(bare)
             if isinstance(note, (Ages, NotSearched)):
-                self._left[name] = _begins(spec)
+                self._begin[name] = _default(spec)
                 if isinstance(note, Ages):
                     self._times.append(name)
                     self.ages.append(note)
@@ -67,38 +69,47 @@ class Clocks:
                     f"{inspect.getsourcefile(made)}: {made.__name__}.{name} is a time and does not say at which ages "
                     "it matters: declare it Annotated[..., Ages(...)], see fsai_vcu/core/ages.py"
                 )
-        if unknown := set(given) - set(hints):
+        if unknown := given.keys() - hints.keys():
             raise ValueError(f"{made.__name__} has no {', '.join(sorted(unknown))}")
-        self._parts = [(name, clocks) for name, clocks in parts if clocks._left or clocks._parts]
-        self.ages += (ages for _, clocks in self._parts for ages in clocks.ages)
-        self._none_of_them = [NEVER] * len(self.ages)
+        self._parts = [(name, inner) for name, inner in parts if inner._begin or inner._parts]
+        self.ages += (ages for _, inner in self._parts for ages in inner.ages)
+        self._never = [NEVER] * len(self.ages)
 
     def apart(self, value: Any, now: int, ages: list[int]) -> Any:
-        """Return the value without its times, of which the ages in ns go to the end of `ages`."""
+        """Return the value without its times; their ages in ns go to the end of `ages`."""
         if value is None:
-            ages += self._none_of_them
+            ages += self._never
             return None
-        rest = self._left.copy()
         for name in self._times:
             t_ns = getattr(value, name)
             ages.append(NEVER if t_ns is None else now - t_ns if t_ns < now else 0)
-        for name, clocks in self._parts:
-            rest[name] = clocks.apart(getattr(value, name), now, ages)
+        if not self._parts:
+            return replace(value, **self._begin)
+        rest = self._begin.copy()
+        for name, inner in self._parts:
+            rest[name] = inner.apart(getattr(value, name), now, ages)
         return replace(value, **rest)
 
     def whole(self, value: Any, ages: Iterator[int]) -> Any:
-        """Put the times back as they are at `NOW`."""
+        """Put the times back, as they are at `NOW`."""
         if value is None:
-            for _ in self._none_of_them:
+            for _ in self._never:
                 next(ages)
             return None
-        times: dict[str, Any] = {}
+        known: dict[str, Any] = {}
         for name in self._times:
             age = next(ages)
-            times[name] = None if age < 0 else NOW - age
-        for name, clocks in self._parts:
-            times[name] = clocks.whole(getattr(value, name), ages)
-        return replace(value, **times)
+            known[name] = None if age < 0 else NOW - age
+        for name, inner in self._parts:
+            known[name] = inner.whole(getattr(value, name), ages)
+        return replace(value, **known)
+
+
+def _default(spec: FieldInfo) -> Any:
+    """Return the value that a field has where none was given; None if there is no such value."""
+    if spec.default_factory is not NODEFAULT:
+        return spec.default_factory()
+    return None if spec.default is NODEFAULT else spec.default
 
 
 def _kind_in(hint: Any) -> type[Struct] | None:
@@ -106,13 +117,6 @@ def _kind_in(hint: Any) -> type[Struct] | None:
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     found = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct)]
     return found[0] if found else None
-
-
-def _begins(spec: FieldInfo) -> Any:
-    """Return the value that a field has where none was given; None if there is no such value."""
-    if spec.default_factory is not NODEFAULT:
-        return spec.default_factory()
-    return None if spec.default is NODEFAULT else spec.default
 
 
 _BRIDGE: Final = Clocks(BridgeState)
@@ -131,13 +135,13 @@ class Abstraction:
         self._sends_fail = sends_fail
         self._data_may_be_lost = data_may_be_lost
 
-    def apart(self, state: BridgeState, bit: bool, now: int) -> tuple[BridgeState, list[int]]:
-        """Return what is no time, and the ages of the times, not yet rounded.
+    def apart(self, state: BridgeState, bit: bool, now: int, ages: list[int]) -> BridgeState:
+        """Return what is no time; the ages of the times, not yet rounded, go to the end of `ages`.
 
         `bit`: the handshake that the VCU sends now.
         """
-        ages: list[int] = []
-        return _BRIDGE.apart(self.forgotten(state, bit, now), now, ages), ages
+        content: BridgeState = _BRIDGE.apart(self.forgotten(state, bit, now), now, ages)
+        return content
 
     def whole(self, content: BridgeState, ages: Iterable[int]) -> BridgeState:
         """The state as it was taken apart, at `NOW`, where the VCU sends a handshake of 0; `ages` may be longer."""
@@ -244,9 +248,9 @@ class Abstraction:
         if status is not None:
             go, fault = status.go_signal and s.driving, status.fault and s.driving
             status = replace(status, handshake=False, go_signal=go, fault=fault)
-        if steer is not None and not (s.driving and not over):
+        if steer is not None and steer.t_rx_ns != now and not (s.driving and not over):
             steer = replace(steer, t_rx_ns=now)
-        if front is not None and rear is not None and not (s.driving and s.stop is None):
+        if front is not None and rear is not None and rear.t_rx_ns != now and not (s.driving and s.stop is None):
             front, rear = replace(front, t_rx_ns=now), replace(rear, t_rx_ns=now)
         if brake is not None:  # a 0x524 counts if it is newer than the first zero cycle, and then by its rear axle
             counts = gate.zero_cycles == 1 and brake.t_rx_ns > gate.zero_since_ns

@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple, cast
 from msgspec import field
 from msgspec.structs import replace
 
-from fsai_hil.evidence.abstraction import NOW, Abstraction, Clocks, edges_of
+from fsai_hil.evidence.abstraction import NEVER, NOW, Abstraction, Clocks, edges_of
 from fsai_hil.evidence.environment import COMMANDS, NO_COMMAND, Choice, PlainCodec, Vcu, frames_of
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
@@ -203,6 +203,17 @@ class State(NamedTuple):
     ages: tuple[int, ...]
 
 
+class Rounding(dict[int, int]):
+    """Ages of one time, rounded down to those that can be told apart: 0, and T - 1 ns and T of each edge."""
+
+    def __init__(self, edges: Iterable[int]) -> None:
+        self._points = sorted({NEVER, 0, *edges, *(edge - 1 for edge in edges)})
+
+    def __missing__(self, age: int) -> int:
+        rounded = self[age] = self._points[bisect_right(self._points, age) - 1]
+        return rounded
+
+
 Outcome = tuple[State, tuple[Violation, ...], AiCommand | None]
 
 
@@ -251,8 +262,8 @@ class Composition:
             sends_fail=any(choice.frames < 5 for choice in scope.choices),
             data_may_be_lost=self._data_may_be_lost,
         )
-        self._edges = (*self._abstraction.edges, *edges_of(_VCU, setting.config), *EDGES)
-        self._points = [sorted({0, *edges, *(edge - 1 for edge in edges)}) for edges in self._edges]
+        self._edges = (*edges_of(_VCU, setting.config), *self._abstraction.edges, *EDGES)
+        self._roundings = [Rounding(edges) for edges in self._edges]
         self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
         self.initial()
 
@@ -273,40 +284,39 @@ class Composition:
         return self._rounded(self._save(NOW))
 
     def _rounded(self, state: State) -> State:
-        ages = [
-            age if age <= 0 else points[bisect_right(points, age) - 1]
-            for age, points in zip(state.ages, self._points, strict=True)
-        ]
-        return State(state.bridge, state.vcu, state.wire, tuple(ages))
+        ages = tuple([rounding[age] for age, rounding in zip(state.ages, self._roundings, strict=True)])
+        return State(state.bridge, state.vcu, state.wire, ages)
 
     def _save(self, now: int) -> State:
         """The whole composition at `now`, with the ages not yet rounded."""
         v, seen = self._vcu, self._checker.seen
         seen.handshake = bool(seen.handshake) != v.bit
         wire, wire_ages = self._checker.saved(now, data_may_be_lost=self._data_may_be_lost)
-        bridge, ages = self._abstraction.apart(self._bridge.state, v.bit, now)
+        ages: list[int] = []
         vcu = _VCU.apart(self._looked_at(now), now, ages)
+        bridge = self._abstraction.apart(self._bridge.state, v.bit, now, ages)
         return State(bridge, vcu, wire, (*ages, *wire_ages))
 
     def _looked_at(self, now: int) -> Vcu:
         """The VCU without what nobody looks at any more."""
-        v = self._vcu
-        v = replace(v, go_before=v.go_before or v.state is not AsState.AS_READY, bit=False)
+        v, since_ns = self._vcu, now
+        go_before = v.go_before or v.state is not AsState.AS_READY
         if not self._table_runs:  # it is whatever the environment says
-            return replace(v, since_ns=now, received=False, ai_ns=None, echo_ns=None)
+            return replace(v, go_before=go_before, bit=False, since_ns=now, received=False, ai_ns=None, echo_ns=None)
         if v.state is AsState.AS_READY:
-            return replace(v, since_ns=max(v.since_ns, now - READY_WAIT_NS))
-        timed = v.state is AsState.EMERGENCY_BRAKE and self._leaves_emergency
-        return v if timed else replace(v, since_ns=now)
+            since_ns = max(v.since_ns, now - READY_WAIT_NS)
+        elif v.state is AsState.EMERGENCY_BRAKE and self._leaves_emergency:
+            since_ns = v.since_ns
+        return replace(v, go_before=go_before, bit=False, since_ns=since_ns)
 
     def bridge_of(self, state: State) -> BridgeState:
         """The bridge's part of it, at `NOW`."""
-        return self._abstraction.whole(state.bridge, state.ages)
+        return self._abstraction.whole(state.bridge, state.ages[len(_VCU.ages) :])
 
     def _load(self, state: State, bridge: BridgeState | None = None) -> None:
         """Put the composition back as it was saved, at `NOW`; `bridge` is the bridge's part where it is known."""
         self._bridge.state = bridge or self.bridge_of(state)
-        self._vcu = _VCU.whole(state.vcu, iter(state.ages[len(self._abstraction.edges) :]))
+        self._vcu = _VCU.whole(state.vcu, iter(state.ages))
         self._checker.load((state.wire, state.ages[-len(EDGES) :]), NOW)
 
     # ------------------------------------------------------------ moves
@@ -450,12 +460,11 @@ class Composition:
                 emergency_timer_over=now - v.since_ns >= profile.emergency_timer_ns,
             ),
         )
-        after = replace(v, go_before=choice.go)
         if row is not None:
             braked = v.needs_power_cycle or row.target is AsState.EMERGENCY_BRAKE
             since_ns = v.since_ns if row.target is v.state else now
-            after = replace(after, needs_power_cycle=braked and not row.reset, state=row.target, since_ns=since_ns)
-        self._vcu = after
+            v = replace(v, needs_power_cycle=braked and not row.reset, state=row.target, since_ns=since_ns)
+        self._vcu = v if v.go_before == choice.go else replace(v, go_before=choice.go)
 
     def _car_speaks(self, choice: Choice, now: int) -> None:
         """Send the car's messages of one cycle to the bridge and the checker."""
@@ -506,14 +515,15 @@ class Composition:
         )
         for number, changed in enumerate(() if choice.car_off else shown[: choice.frames]):
             v = self._vcu
-            self._vcu = replace(
-                v,
-                received=True,
-                ai_ns=now if number == 4 or v.ai_ns is None else v.ai_ns,
-                echo_ns=None if number == 0 and asked.handshake == v.bit else v.echo_ns,
-                **changed,
-            )
-            if any(getattr(v, name) != value for name, value in changed.items()):
+            looks = any(getattr(v, name) != value for name, value in changed.items())
+            if number == 0:
+                changed |= {"received": True, "ai_ns": now if v.ai_ns is None else v.ai_ns}
+                changed["echo_ns"] = None if asked.handshake == v.bit else v.echo_ns
+            elif number == 4:
+                changed["ai_ns"] = now
+            if looks or number in (0, 4):
+                self._vcu = replace(v, **changed)
+            if looks:
                 self._look(choice, now)
         self._bridge.on_sent(choice.frames == 5, now)
 

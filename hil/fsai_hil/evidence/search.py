@@ -10,6 +10,7 @@ moment on, each by the label it keeps choosing. Under every one of them a safe e
 
 from __future__ import annotations
 
+import gc
 import itertools
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -51,12 +52,15 @@ def explore(model: Any, bounds_ns: Mapping[str, int] | None = None) -> Search:
     `bounds_ns` gives, for each ending, the time within which the safe end must come from every state.
     """
     visit = _Visit(model)
-    found = visit.found
-    if not visit.finds_problem():
-        for name, label in model.endings.items():
-            if visit.misses_the_end(name, label, (bounds_ns or {}).get(name)):
-                break
-    return found
+    gc.disable()  # states hold no cycles, and the collector would go over all of them again and again
+    try:
+        if not visit.finds_problem():
+            for name, label in model.endings.items():
+                if visit.misses_the_end(name, label, (bounds_ns or {}).get(name)):
+                    break
+    finally:
+        gc.enable()
+    return visit.found
 
 
 class _Visit:
