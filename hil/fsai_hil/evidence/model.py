@@ -22,35 +22,27 @@ last edge before it.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple, cast
 
-from msgspec import field
 from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import NEVER, NOW, Abstraction, Clocks, edges_of
 from fsai_hil.evidence.environment import COMMANDS, NO_COMMAND, Choice, PlainCodec, Vcu, frames_of
+from fsai_hil.evidence.scopes import Scope
 from fsai_hil.evidence.search import Move
-from fsai_hil.rules.checker import WireChecker
-from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS
-from fsai_hil.rules.seen import EDGES, Process, Violation
+from fsai_hil.evidence.watched import EVENTS, RESTART, SearchedBridge
+from fsai_hil.rules.numbers import CAR_PATIENCE_NS, CYCLE_NS
+from fsai_hil.rules.seen import EDGES, Violation
 from fsai_hil.simulator.as_machine import Situation, taken, transition_table
-from fsai_hil.simulator.profiles import SPECIFICATION, Profile
-from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
-from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.bridge import BridgeState
 from fsai_vcu.core.supervision import supervisor
-from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.wheel_speeds import Pulses
-from fsai_vcu.core.vehicle.odometry import OdometryState
-from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
-from fsai_vcu.interface.codec import Codec, EncodeError, codec_of
+from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.enums import AsState, MissionStatus
-from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiCommand, AiImage
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.specification import READY_WAIT_NS
-from fsai_vcu.interface.values import Value
 
 LEFT_OUT: Final = (
     "whether the plausibility checks find what they should: the model of the steering, each wheel's factor in a curve, "
@@ -61,133 +53,6 @@ LEFT_OUT: Final = (
 )
 """The parts in which a mistake leaves no trace in this search, and what looks at them instead."""
 
-
-class Setting(Value, frozen=True):
-    """The subject of a search: the configuration of the AI side and the car at the other end."""
-
-    config: BridgeConfig = field(default_factory=lambda: BridgeConfig(steer_rate_degps=1500.0))
-    revision: str = "2026"
-    car: VehicleParameters = CARS["2026"]
-    profile: Profile = SPECIFICATION
-    first_state: AsState = AsState.AS_INIT
-    limits: OperationalLimits = field(default_factory=lambda: OperationalLimits(8.0, 120.0, 12.0))
-
-    @property
-    def codec(self) -> Codec:
-        return codec_of(revision(self.revision))
-
-    def checker(self, **process: Any) -> WireChecker:
-        """The checker of the rules at the sender's own place; `process`: what else it knows of the configuration."""
-        config = self.config
-        return WireChecker(
-            self.codec,
-            in_flight_ns=0,
-            handshake_in_flight_ns=0,
-            clock_slack_ns=0,
-            car=self.car,
-            limits=self.limits,
-            steer_rate_degps=config.steer_rate_degps,
-            from_start=True,
-            motor_brakes=config.motor_brakes,
-            short_sequence=config.short_sequence_allowed,
-            process=Process(
-                listen_only=config.listen_only,
-                autonomous_at_power_up=config.autonomous_at_power_up,
-                service_brake_pct=config.stop_brake_pct,
-                stop_cycles=config.stop_cycles,
-                **process,
-            ),
-        )
-
-
-# ---------------------------------------------------------------- what stands in for the rest of the world
-
-
-class WatchedBridge(Bridge):
-    """The bridge: what is asked of it and happens to it, and how it answers, its checker is told."""
-
-    checker: WireChecker
-
-    def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
-        current = command.run_id == self.state.supervisor.run_id
-        problems = super().on_command(command, now_ns)
-        self.checker.on_command(command, bool(problems), now_ns, current=current)
-        return problems
-
-    def on_reset_confirmed(self, role: str, run_id: int) -> None:
-        super().on_reset_confirmed(role, run_id)
-        if run_id == self.state.supervisor.run_id:
-            self.checker.on_confirmed(role)
-
-    def set_mode(self, mode: str, now_ns: int) -> tuple[bool, str]:
-        answer = super().set_mode(mode, now_ns)
-        self.checker.on_mode(mode, answer, now_ns)
-        return answer
-
-    def emergency_brake(self, why: str, now_ns: int) -> tuple[bool, str]:
-        answer = super().emergency_brake(why, now_ns)
-        self.checker.on_emergency(answer[0])
-        return answer
-
-    def reset(self, now_ns: int) -> tuple[bool, str]:
-        answer = super().reset(now_ns)
-        self.checker.on_reset(answer[0], now_ns)
-        return answer
-
-    def bus_lost(self, why: str, now_ns: int) -> None:
-        super().bus_lost(why, now_ns)
-        self.checker.on_bus_lost(now_ns)
-
-    def bus_back(self, now_ns: int) -> None:
-        super().bus_back(now_ns)
-        self.checker.on_bus_back(now_ns)
-
-    def loop_fault(self, why: str, now_ns: int) -> None:
-        super().loop_fault(why, now_ns)
-        self.checker.on_loop_fault()
-
-    def begin_stop(self, now_ns: int) -> None:
-        super().begin_stop(now_ns)
-        self.checker.on_end()
-
-
-class SearchedBridge(WatchedBridge):
-    """The bridge, whose plausibility checks say what the environment wants."""
-
-    steer_odd = False
-    wheel_odd = False
-
-    def _on_revision(self, frame: Frame) -> None:
-        """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""
-
-    def _moved(self, state: BridgeState) -> OdometryState:
-        return state.odometry
-
-    def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
-        def since_ns(odd: bool, before_ns: int | None) -> int | None:
-            return (now_ns if before_ns is None else before_ns) if odd and state.supervisor.driving else None
-
-        return (
-            SteeringCheck(implausible_since_ns=since_ns(self.steer_odd, state.steering.implausible_since_ns)),
-            WheelCheck(implausible_since_ns=since_ns(self.wheel_odd, state.wheels.implausible_since_ns)),
-        )
-
-
-EVENTS: Final[Mapping[str, Callable[[WatchedBridge, int], object]]] = {
-    "an intruder sends 0x511": lambda b, now: (b.on_frame(Frame(0x511, bytes(4), now)), b.checker.on_intruder("0x511")),
-    "the loop misses its deadline": lambda b, now: b.loop_fault("a deadline was missed by 50 ms", now),
-    "the bus is lost": lambda b, now: b.bus_lost("the interface is gone", now),
-    "the bus is back": lambda b, now: b.bus_back(now),
-    "the software is stopped": lambda b, now: b.begin_stop(now),
-    "frames waited for 20 ms": lambda b, now: b.backlog(BACKLOG_NS, now),
-    "manual is asked for": lambda b, now: b.set_mode("manual", now),
-    "autonomous is asked for": lambda b, now: b.set_mode("autonomous", now),
-    "an unknown mode is asked for": lambda b, now: b.set_mode("sideways", now),
-    "the emergency brake is asked for": lambda b, now: b.emergency_brake("somebody asked for it", now),
-    "reset is asked for": lambda b, now: b.reset(now),
-}
-"""The events that the process sees in a cycle, by the name in `Choice.event`; and besides them:"""
-RESTART: Final = "restart"  # another process takes the bridge's place
 
 # ---------------------------------------------------------------- the composition
 
@@ -217,21 +82,6 @@ class Rounding(dict[int, int]):
 Outcome = tuple[State, tuple[Violation, ...], AiCommand | None]
 
 
-class Scope(Value, frozen=True):
-    """A closed part of everything that can happen: a setting, and what the environment may do in it."""
-
-    name: str
-    covers: str
-    choices: tuple[Choice, ...]
-    """All of them from the last ns of the 3 s of standing still on; before and elsewhere those below `anywhere`."""
-    anywhere: int
-    path: int = 0  # those numbered below it while nothing has been sent yet; 0: all
-    setting: Setting = field(default_factory=Setting)
-    endings: Mapping[str, Choice] = field(default_factory=dict)
-    bounds_ns: Mapping[str, int] = field(default_factory=dict)
-    endless: str = ""  # why no ending can be asked for, in words
-
-
 class Composition:
     """Bridge, VCU and the checker under one scope's environment: a model for `search.explore`.
 
@@ -245,21 +95,25 @@ class Composition:
         self._only_rule = only_rule
         self.scope = scope
         self.config = setting.config
-        self.choices = list(scope.choices)
-        self.endings = {name: self.choices.index(choice) for name, choice in scope.endings.items()}
+        ways = [ending.choice for ending in scope.endings]
+        path = dict.fromkeys((*scope.path, *ways) if scope.path else ())
+        first = path | dict.fromkeys((*scope.everywhere, *ways))
+        self.choices = list(first | dict.fromkeys(scope.driving))
+        self._path, self._anywhere = len(path), len(first)
+        self.endings = {end.words: (self.choices.index(end.choice), end.within_ns) for end in scope.endings}
         self._codec = setting.codec
-        self._leaves_emergency = any(not choice.asms or choice.car_off for choice in scope.choices)
+        self._leaves_emergency = any(not choice.asms or choice.car_off for choice in self.choices)
         # A command whose data alone is that old is lost at once: then it matters how long commands have been awaited.
         self._data_may_be_lost = any(
             -COMMANDS[choice.command].t_sensor_ns >= setting.config.sensor_stale_ns
-            for choice in scope.choices
+            for choice in self.choices
             if choice.command != NO_COMMAND
         )
-        self._table_runs = all(choice.says is None for choice in scope.choices)
+        self._table_runs = all(choice.says is None for choice in self.choices)
         self._table = transition_table(setting.profile)
         self._abstraction = Abstraction(
             setting.config,
-            sends_fail=any(choice.frames < 5 for choice in scope.choices),
+            sends_fail=any(choice.frames < 5 for choice in self.choices),
             data_may_be_lost=self._data_may_be_lost,
         )
         self._edges = (*edges_of(_VCU, setting.config), *self._abstraction.edges, *EDGES)
@@ -340,14 +194,14 @@ class Composition:
 
     def labels(self, state: State, bridge: BridgeState) -> range:
         """Return the choices that the environment has in a state."""
-        scope, driving_ns, listening_ns = self.scope, bridge.supervisor.driving_since_ns, bridge.listening_since_ns
+        driving_ns, listening_ns = bridge.supervisor.driving_since_ns, bridge.listening_since_ns
         braked = state.vcu.state is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
-        if scope.path and (braked or bridge.stop_cycles_left == 0):
-            return range(scope.path)  # the car brakes by itself until the end, or the software has stopped
+        if self._path and (braked or bridge.stop_cycles_left == 0):
+            return range(self._path)  # the car brakes by itself until the end, or the software has stopped
         if driving_ns is not None and NOW - driving_ns >= self.config.launch_wait_ns - 1:
             return range(len(self.choices))
         listening = listening_ns is None or NOW - listening_ns < self.config.listen_first_ns
-        return range(scope.path if scope.path and listening else scope.anywhere)
+        return range(self._path if self._path and listening else self._anywhere)
 
     def moves_under(self, label: int, state: State, bridge: BridgeState) -> Iterable[Move]:
         """Yield what one choice brings: the next cycle, or, where that changes nothing, the next timers."""
