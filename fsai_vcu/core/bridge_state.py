@@ -16,7 +16,6 @@ from fsai_vcu.core.vehicle.odometry import OdometryState
 from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
 from fsai_vcu.interface.values import Value
 
-_ELSEWHERE: Final = Within(t_rx_ns=NotSearched("the supervisor remembers it"))
 _AXLE: Final = Within(t_rx_ns=Ages("feedback_stale_ns"))
 _NOT_SENT: Final = NotSearched("the searched car does not send it")
 _OF_THE_CYCLE: Final = NotSearched("each cycle makes its own before it is looked at")
@@ -38,12 +37,15 @@ class BridgeState(Value, frozen=True):
     vehicle: Annotated[
         VehicleState,
         Within(
-            status=_ELSEWHERE,
+            status=Within(
+                t_rx_ns=NotSearched("the supervisor remembers it"),
+                handshake=NotSearched("`handshake` is the newest that was received"),
+            ),
             drive_front=_AXLE,
             drive_rear=_AXLE,
             steer=Within(t_rx_ns=Ages("feedback_stale_ns", "feedback_lost_ns")),
             brake=Within(t_rx_ns=NoAge("it is compared with GateState.zero_since_ns: newer or not")),
-            speeds=_ELSEWHERE,
+            speeds=Within(t_rx_ns=NotSearched("the supervisor remembers it")),
             counts=_NOT_SENT,
             log_dynamics=_NOT_SENT,
             log_status=_NOT_SENT,
@@ -63,7 +65,11 @@ class BridgeState(Value, frozen=True):
 
     # The command slot
     command: Annotated[
-        VehicleCommand | None, Within(t_sensor_ns=NotSearched("it counts together with `command_ns`"))
+        VehicleCommand | None,
+        Within(
+            t_sensor_ns=NotSearched("it counts together with `command_ns`"),
+            run_id=NotSearched("a command of another run is none"),
+        ),
     ] = None
     command_ns: Annotated[int, Ages("command_stale_ns", "command_lost_ns")] = 0  # when it was handed in
 

@@ -163,7 +163,7 @@ class Abstraction:
             gate=replace(state.gate, pulses=pulses),
             vehicle=replace(vehicle, status=status, speeds=speeds),
             belief=WheelBelief(speeds, s.speeds_ns),
-            command=None if command is None else replace(command, t_sensor_ns=state.command_ns),
+            command=None if command is None else replace(command, t_sensor_ns=state.command_ns, run_id=_RUN),
         )
 
     def forgotten(self, state: BridgeState, bit: bool, now: int) -> BridgeState:
@@ -181,8 +181,6 @@ class Abstraction:
             supervisor=self._supervisor(s, command, over, now),
             gate=self._gate(state.gate, s),
             vehicle=self._vehicle(state, bit, over, now),
-            status_doubt="it cannot be read" if state.status_doubt else "",
-            bus_lost=None if state.bus_lost is None else "the interface is gone",
             steering=steering,
             wheels=wheels,
             command=command,
@@ -245,9 +243,8 @@ class Abstraction:
         status, steer, front, rear, brake = (
             vehicle.status, vehicle.steer, vehicle.drive_front, vehicle.drive_rear, vehicle.brake,
         )  # fmt: skip
-        if status is not None:
-            go, fault = status.go_signal and s.driving, status.fault and s.driving
-            status = replace(status, handshake=False, go_signal=go, fault=fault)
+        if status is not None and not s.driving:
+            status = replace(status, go_signal=False, fault=False)
         if steer is not None and steer.t_rx_ns != now and not (s.driving and not over):
             steer = replace(steer, t_rx_ns=now)
         if front is not None and rear is not None and rear.t_rx_ns != now and not (s.driving and s.stop is None):
@@ -278,7 +275,7 @@ class Abstraction:
         if now - handed_in_ns >= c.command_lost_ns or over:
             return VehicleCommand(handed_in_ns, _RUN)  # it can only be lost
         if s.stop is None:
-            return replace(command, t_sensor_ns=handed_in_ns, run_id=_RUN)
+            return command if command.t_sensor_ns == handed_in_ns else replace(command, t_sensor_ns=handed_in_ns)
         # Of a stop's command only the steering counts, and a wish for an emergency.
         steering_rad = command.steering_rad if s.stop.cause in STEERS_WHILE_STOPPING else 0.0
         return VehicleCommand(handed_in_ns, _RUN, steering_rad, estop_request=command.estop_request)

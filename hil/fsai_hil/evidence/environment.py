@@ -8,33 +8,16 @@ from enum import Enum
 from functools import cache
 from typing import Annotated, Any, Final
 
+from msgspec.structs import replace
+
 from fsai_hil.evidence.abstraction import NOW
 from fsai_hil.rules.numbers import CAR_PATIENCE_NS, MS
-from fsai_hil.rules.seen import STATES
 from fsai_vcu.core.ages import Ages
 from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.codec import Decoded
-from fsai_vcu.interface.enums import (
-    Ami,
-    AsState,
-    Direction,
-    EbsState,
-    MissionStatus,
-    OpState,
-    ShutdownCause,
-    TsState,
-)
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.messages import (
-    Faults,
-    Image,
-    VcuBrake,
-    VcuDriveFront,
-    VcuDriveRear,
-    VcuStatus,
-    VcuSteer,
-    WheelSpeeds,
-)
 from fsai_vcu.interface.specification import EMERGENCY_TIMER_NS, READY_WAIT_NS
 from fsai_vcu.interface.values import Value
 
@@ -139,14 +122,29 @@ class Vcu(Value, frozen=True):
     bit: bool = False
 
 
-_SWITCHES: Final = ("AS_SWITCH_STATUS falls", "TS_SWITCH_STATUS falls")
-_REQUEST: Final = "SHUTDOWN_REQUEST rises"
-_BITS: Final[Mapping[str, str]] = {f"fault bit {name} rises": name for name in ("bms", "ebs")}
-_CAUSE: Final = "SHUTDOWN_CAUSE rises"
-_STATES: Final = tuple(f"{name} becomes FAULT" for name in STATES)
-MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE, *_STATES)  # of those that `rules.seen.marks_of` knows
+_WELL: Final = m.VcuStatus(
+    as_switch=True,
+    ts_switch=True,
+    shutdown_cause=ShutdownCause.NO_SHUTDOWN,
+    ebs_state=EbsState.EBS_ARMED,
+    ts_state=TsState.TS_RUNNING,
+    op_state=OpState.OP_AUTO,
+)
+MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "AS_SWITCH_STATUS falls": {"as_switch": False},
+    "TS_SWITCH_STATUS falls": {"ts_switch": False},
+    "SHUTDOWN_REQUEST rises": {"shutdown_request": True},
+    **{f"fault bit {name} rises": {name: True} for name in ("bms", "ebs")},
+    "SHUTDOWN_CAUSE rises": {"shutdown_cause": ShutdownCause.BMS_FAULT},
+    "EBS_STATE becomes FAULT": {"ebs_state": EbsState.EBS_FAULT},
+    "TS_STATE becomes FAULT": {"ts_state": TsState.TS_FAULT},
+    "OP_STATE becomes FAULT": {"op_state": OpState.OP_FAULT},
+}
+"""What 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
+_BITS: Final = m.Faults.__struct_fields__
 _IDS: Final[Mapping[type, int]] = {
-    kind: can_id for can_id, kind in enumerate((VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds), 0x521)
+    kind: can_id
+    for can_id, kind in enumerate((m.VcuDriveFront, m.VcuDriveRear, m.VcuSteer, m.VcuBrake, m.WheelSpeeds), 0x521)
 }
 
 
@@ -172,19 +170,19 @@ def frames_of(choice: Choice, vcu: Vcu, now: int) -> Iterator[CarFrame]:
     elif STATUS not in choice.lost:
         yield _status_frame(vcu.bit, choice.go, vcu.state, choice.ami, choice.fault, choice.marks, now)
     if AXLES not in choice.lost:
-        yield _frame(VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
-        yield _frame(VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(m.VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(m.VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
     if STEER not in choice.lost:
-        yield _frame(VcuSteer, now, 0.0, choice.angle_max_deg)
+        yield _frame(m.VcuSteer, now, 0.0, choice.angle_max_deg)
     if BRAKE not in choice.lost:
-        yield _frame(VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
+        yield _frame(m.VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
     if SPEEDS not in choice.lost:
-        yield _frame(WheelSpeeds, now, *choice.rpm)
+        yield _frame(m.WheelSpeeds, now, *choice.rpm)
 
 
 @cache  # the same few come again and again
 def _frame(kind: type[Any], now: int, *values: float) -> CarFrame:
-    image: Image = kind(*values, t_rx_ns=now)
+    image: m.Image = kind(*values, t_rx_ns=now)
     return CarFrame(_IDS[kind], b"", now, decoded=Decoded(image, (), None))
 
 
@@ -192,20 +190,9 @@ def _frame(kind: type[Any], now: int, *values: float) -> CarFrame:
 def _status_frame(
     bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int
 ) -> CarFrame:
-    image = VcuStatus(
-        handshake=bit,
-        shutdown_request=_REQUEST in marks,
-        as_switch=_SWITCHES[0] not in marks,
-        ts_switch=_SWITCHES[1] not in marks,
-        go_signal=go,
-        as_state=state,
-        ami=ami,
-        fault=fault,
-        faults=Faults(**{field: mark in marks for mark, field in _BITS.items()}),
-        shutdown_cause=ShutdownCause.BMS_FAULT if _CAUSE in marks else ShutdownCause.NO_SHUTDOWN,
-        ebs_state=EbsState.EBS_FAULT if _STATES[0] in marks else EbsState.EBS_ARMED,
-        ts_state=TsState.TS_FAULT if _STATES[1] in marks else TsState.TS_RUNNING,
-        op_state=OpState.OP_FAULT if _STATES[2] in marks else OpState.OP_AUTO,
-        t_rx_ns=now,
+    shown = {name: value for mark in marks for name, value in MARKS[mark].items()}
+    faults = m.Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
+    image = replace(
+        _WELL, handshake=bit, go_signal=go, as_state=state, ami=ami, fault=fault, faults=faults, t_rx_ns=now, **shown
     )
     return CarFrame(0x520, b"", now, decoded=Decoded(image, (), bit))

@@ -27,7 +27,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.abstraction import NEVER, NOW, Abstraction, Clocks, edges_of
+from fsai_hil.evidence.abstraction import NOW, Abstraction, Clocks, edges_of
 from fsai_hil.evidence.environment import COMMANDS, NO_COMMAND, Choice, PlainCodec, Vcu, frames_of
 from fsai_hil.evidence.scopes import Scope
 from fsai_hil.evidence.search import Move
@@ -68,17 +68,6 @@ class State(NamedTuple):
     ages: tuple[int, ...]
 
 
-class Rounding(dict[int, int]):
-    """Ages of one time, rounded down to those that can be told apart: 0, and T - 1 ns and T of each edge."""
-
-    def __init__(self, edges: Iterable[int]) -> None:
-        self._points = sorted({NEVER, 0, *edges, *(edge - 1 for edge in edges)})
-
-    def __missing__(self, age: int) -> int:
-        rounded = self[age] = self._points[bisect_right(self._points, age) - 1]
-        return rounded
-
-
 Outcome = tuple[State, tuple[Violation, ...], AiCommand | None]
 
 
@@ -117,7 +106,7 @@ class Composition:
             data_may_be_lost=self._data_may_be_lost,
         )
         self._edges = (*edges_of(_VCU, setting.config), *self._abstraction.edges, *EDGES)
-        self._roundings = [Rounding(edges) for edges in self._edges]
+        self._points = [sorted({0, *edges, *(edge - 1 for edge in edges)}) for edges in self._edges]
         self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
         self.initial()
 
@@ -138,8 +127,9 @@ class Composition:
         return self._rounded(self._save(NOW))
 
     def _rounded(self, state: State) -> State:
-        ages = tuple([rounding[age] for age, rounding in zip(state.ages, self._roundings, strict=True)])
-        return State(state.bridge, state.vcu, state.wire, ages)
+        both = zip(state.ages, self._points, strict=True)
+        ages = [age if age <= 0 else points[bisect_right(points, age) - 1] for age, points in both]
+        return State(state.bridge, state.vcu, state.wire, tuple(ages))
 
     def _save(self, now: int) -> State:
         """The whole composition at `now`, with the ages not yet rounded."""
