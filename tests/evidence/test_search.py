@@ -165,6 +165,24 @@ def test_every_time_of_the_bridges_state_is_declared_with_ages_that_the_configur
     assert sum(not any(ages) for ages in edges) == 1  # of the gate's last cycle no age matters
 
 
+NO_AGES = {
+    "sensor_stale_ns": "data of that age counts like a stale command",
+    "sensor_future_ns": "it is compared once, as the command comes",
+    "backlog_ns": "it is compared once, as the frame is read",
+    "slip_memory_ns": "the searched environment chooses what the checks find",
+}
+
+
+def test_every_time_of_the_configuration_is_an_age_of_some_time_of_the_state() -> None:
+    """A reaction that comes after a new time, and whose state does not say so, would be searched at no edge of it."""
+    declared = {
+        name for ages in Clocks(BridgeState).ages for at in (*ages.at, *ages.gap) for name in str(at).split(" + ")
+    }
+    configured = {name for name in BridgeConfig.__struct_fields__ if name.endswith("_ns")}
+    assert declared <= configured
+    assert configured - declared == set(NO_AGES)
+
+
 def test_every_scope_that_can_send_has_endings() -> None:
     for one in SCOPES:
         assert bool(one.endings) is not one.setting.config.listen_only, one.name

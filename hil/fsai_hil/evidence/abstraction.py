@@ -45,9 +45,7 @@ class Clocks:
         Raises ValueError, which names the file to change, if a time has no declaration.
         """
         self._times: list[str] = []
-        self._begin: dict[
-            str, Any
-        ] = {}  # times, and fields that are not searched: as they are before anything happened
+        self._begin: dict[str, Any] = {}  # times, and fields that are not searched, as they begin
         self.ages: list[Ages] = []  # of all times, in the order in which they are taken out
         parts: list[tuple[str, Clocks]] = []
         hints = get_type_hints(made, include_extras=True)
