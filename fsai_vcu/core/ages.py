@@ -32,6 +32,9 @@ class NotSearched:
         self.why: Final = why
 
 
+CHOSEN: Final = NotSearched("the searched environment chooses what the plausibility checks find")
+
+
 class Within:
     """Declarations for fields of the value that a field holds, by their names: they come before that value's own."""
 
