@@ -68,6 +68,14 @@ class State(NamedTuple):
     ages: tuple[int, ...]
 
 
+class Encoded(NamedTuple):
+    """A command on the wire: what is wrong with its frames (rule 8), the decoded frames, what each shows the VCU."""
+
+    problems: tuple[Violation, ...]
+    images: tuple[tuple[int, AiImage], ...]
+    shown: tuple[dict[str, Any], ...]
+
+
 Outcome = tuple[State, tuple[Violation, ...], AiCommand | None]
 
 
@@ -107,7 +115,7 @@ class Composition:
         )
         self._edges = (*edges_of(_VCU, setting.config), *self._abstraction.edges, *EDGES)
         self._points = [sorted({0, *edges, *(edge - 1 for edge in edges)}) for edges in self._edges]
-        self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
+        self._encoded: dict[AiCommand, Encoded] = {}
         self.initial()
 
     def _new_bridge(self) -> SearchedBridge:
@@ -257,8 +265,9 @@ class Composition:
         checker.before_cycle(now)
         checker.on_mode_shown(b.state.supervisor.mode.value)
         if asked is not None:
-            problems, images = self._images(asked)
-            self._sent(choice, asked, images, now)
+            encoded = self._encode(asked)
+            problems = encoded.problems
+            self._sent(choice, asked, encoded, now)
         checks = b.state
         checker.on_implausible(checks.steering.implausible_since_ns, checks.wheels.implausible_since_ns)
         problems += checker.taken()
@@ -328,8 +337,7 @@ class Composition:
 
     # ------------------------------------------------------------ the wire
 
-    def _images(self, asked: AiCommand) -> tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]:
-        """Return the real codec's five frames of it, decoded again, and what is wrong with them (rule 8)."""
+    def _encode(self, asked: AiCommand) -> Encoded:
         made = self._encoded.get(asked)
         if made is None:
             images: list[tuple[int, AiImage]] = []
@@ -340,34 +348,36 @@ class Composition:
                 problems = self._checker.taken()
             except EncodeError as error:
                 problems = (Violation("8", str(error)),)
-            made = self._encoded[asked] = problems, tuple(images)
+            shown: tuple[dict[str, Any], ...] = (
+                {"estop": asked.estop_request, "status": asked.mission_status, "direction": asked.direction},
+                {"front": asked.front_torque_nm > 0.0},
+                {"rear": asked.rear_torque_nm > 0.0},
+                {"steer": asked.steer_deg != 0.0},
+                {"brake": asked.brake_requested},
+            )
+            made = self._encoded[asked] = Encoded(problems, tuple(images), shown)
         return made
 
-    def _sent(self, choice: Choice, asked: AiCommand, images: Sequence[tuple[int, AiImage]], now: int) -> None:
+    def _sent(self, choice: Choice, asked: AiCommand, encoded: Encoded, now: int) -> None:
         """The frames leave one after another; the VCU looks after each, and keeps what it saw last."""
         checker = self._checker
         checker.on_sending()
-        for can_id, image in images[: choice.frames]:
+        for can_id, image in encoded.images[: choice.frames]:
             checker.on_ai(can_id, image, now)
         checker.cycle_over(now)
-        shown: tuple[dict[str, Any], ...] = (
-            {"estop": asked.estop_request, "status": asked.mission_status, "direction": asked.direction},
-            {"front": asked.front_torque_nm > 0.0},
-            {"rear": asked.rear_torque_nm > 0.0},
-            {"steer": asked.steer_deg != 0.0},
-            {"brake": asked.brake_requested},
-        )
-        for number, changed in enumerate(() if choice.car_off else shown[: choice.frames]):
+        for number, shown in enumerate(() if choice.car_off else encoded.shown[: choice.frames]):
             v = self._vcu
-            looks = any(getattr(v, name) != value for name, value in changed.items())
+            news = {name: value for name, value in shown.items() if getattr(v, name) != value}
+            times: dict[str, Any] = {}
             if number == 0:
-                changed |= {"received": True, "ai_ns": now if v.ai_ns is None else v.ai_ns}
-                changed["echo_ns"] = None if asked.handshake == v.bit else v.echo_ns
+                times = {"received": True, "ai_ns": v.ai_ns or now, "echo_ns": v.echo_ns}
+                if asked.handshake == v.bit:
+                    times["echo_ns"] = None
             elif number == 4:
-                changed["ai_ns"] = now
-            if looks or number in (0, 4):
-                self._vcu = replace(v, **changed)
-            if looks:
+                times = {"ai_ns": now}
+            if news or times:
+                self._vcu = replace(v, **news, **times)
+            if news:
                 self._look(choice, now)
         self._bridge.on_sent(choice.frames == 5, now)
 

@@ -84,9 +84,8 @@ class _Visit:
                     found.states, found.depth, found.problems = len(states), depths[at] + 1, move.problems
                     found.trace = [*self._trace(at), move]
                     return True
-                target = number.get(move.target)
-                if target is None:
-                    target = number[move.target] = len(states)
+                target = number.setdefault(move.target, len(states))
+                if target == len(states):
                     states.append(move.target)
                     self._parents.append(at)
                     depths.append(depths[at] + 1)
