@@ -5,23 +5,25 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import pytest
 from msgspec.structs import replace
 
 from fsai_hil.evidence import __main__ as command
-from fsai_hil.evidence import abstraction
 from fsai_hil.evidence.__main__ import main
-from fsai_hil.evidence.abstraction import NOW
-from fsai_hil.evidence.model import Composition, Scope, State
-from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
+from fsai_hil.evidence.abstraction import NOW, Clocks, edges_of
+from fsai_hil.evidence.model import Composition, State
+from fsai_hil.evidence.scopes import DEAF, GO, MOVES, MOVING, PATH, SCOPES, STANDS, Scope, scope
 from fsai_hil.evidence.search import Move, Search, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.rules.checker import RULES
 from fsai_hil.rules.numbers import CYCLE_NS
 from fsai_hil.rules.seen import Violation
-from fsai_vcu.core.bridge import BridgeConfig
+from fsai_vcu.core.ages import Ages, NotSearched, Within
+from fsai_vcu.core.bridge import BridgeConfig, BridgeState
+from fsai_vcu.core.supervision.supervisor import Asked, Latch, SupervisorState
+from fsai_vcu.interface.values import Value
 
 
 @dataclass
@@ -30,7 +32,7 @@ class Counter:
 
     bad: bool = False
     stuck: bool = False
-    endings: Mapping[str, int] = field(default_factory=lambda: {"counting on": 0})
+    endings: Mapping[str, tuple[int, int]] = field(default_factory=lambda: {"counting on": (0, 10)})
 
     def initial(self) -> int:
         return 0
@@ -66,23 +68,25 @@ def test_a_state_with_no_safe_end_or_a_late_one_is_a_problem() -> None:
     stuck = explore(Counter(stuck=True))
     assert [problem.rule for problem in stuck.problems] == ["safe end"]
     assert stuck.trace[-1].target == 4
-    late = explore(Counter(), bounds_ns={"counting on": 9})
+    late = explore(Counter(endings={"counting on": (0, 9)}))
     assert [problem.rule for problem in late.problems] == ["safe end"]
 
 
 # ---------------------------------------------------------------- the composition
 
 
-def reduced() -> Scope:
-    """A car that is driven, a planner that falls silent, a car that is not heard."""
-    choices = (*PATH, *ENDINGS.values(), replace(GO, rpm=MOVING), replace(GO, rpm=MOVING, command="brake"))
-    return Scope("reduced", "", choices, len(choices), len(PATH), endings=ENDINGS)
+REDUCED = Scope(
+    "reduced",
+    "a car that is driven, a planner that falls silent, a car that is not heard",
+    (replace(GO, rpm=MOVING), replace(GO, rpm=MOVING, command="brake")),
+    endings=(STANDS, MOVES, replace(DEAF, within_ns=5_000_000_000)),
+)
 
 
 @pytest.fixture(scope="module")
 def searched() -> tuple[Composition, Search, list[Move]]:
     """The reduced scope, what its search found, and every move in it."""
-    model = Composition(reduced())
+    model = Composition(REDUCED)
     moves: list[Move] = []
 
     def noted(state: State) -> Iterable[Move]:
@@ -91,14 +95,14 @@ def searched() -> tuple[Composition, Search, list[Move]]:
             yield move
 
     model.moves = noted  # type: ignore[method-assign]
-    return model, explore(model, bounds_ns=dict.fromkeys(ENDINGS, 5_000_000_000)), moves
+    return model, explore(model), moves
 
 
 def test_in_a_reduced_scope_rules_hold_and_states_end_safely(searched: tuple[Composition, Search, list[Move]]) -> None:
     _, found, _ = searched
     assert found.problems == ()
     assert found.states > 500
-    assert set(found.bounds_ns) == set(ENDINGS)
+    assert len(found.bounds_ns) == len(REDUCED.endings)
 
 
 def test_the_search_drives_and_sees_both_sides_of_each_timer(searched: tuple[Composition, Search, list[Move]]) -> None:
@@ -109,25 +113,83 @@ def test_the_search_drives_and_sees_both_sides_of_each_timer(searched: tuple[Com
         assert {edge_ns - 1, edge_ns} <= waits
 
 
-def test_every_time_of_the_searched_state_says_when_it_matters(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Any other new field of the bridge's state is part of what is searched by itself."""
-    edges = abstraction._edges(BridgeConfig())
-    monkeypatch.setattr(abstraction, "_edges", lambda _: {name: edges[name] for name in edges if name != "cycle_ns"})
-    with pytest.raises(ValueError, match="cycle_ns"):
-        Composition(reduced())
+class Later(SupervisorState, frozen=True):
+    """The supervisor's state with a reaction's new time in it."""
+
+    odd_since_ns: int | None = None
 
 
-def test_every_scope_has_timed_endings_or_gives_the_reason() -> None:
-    for one in all_scopes():
-        assert one.endings.keys() <= one.bounds_ns.keys(), one.name
-        assert bool(one.endings) is not bool(one.endless), one.name
+class Timed(SupervisorState, frozen=True):
+    """The same, and the time says when it matters."""
+
+    odd_since_ns: Annotated[int | None, Ages("implausible_ns", "launch_wait_ns + both_pedals_ns")] = None
+    noted_ns: Annotated[int, NotSearched("words")] = 0
+
+
+class Outer(Value, frozen=True):
+    """Values within a value, one of which may be missing."""
+
+    supervisor: Timed
+    latch: Annotated[Latch | None, Within(since_ns=Ages("stop_window_ns"))] = None
+
+
+def test_a_new_time_that_does_not_say_when_it_matters_fails_with_the_file_to_change() -> None:
+    with pytest.raises(ValueError, match=r"test_search\.py: Later\.odd_since_ns is a time"):
+        Clocks(Later)
+
+
+def test_a_declaration_for_a_field_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="Latch has no until_ns"):
+        Clocks(Latch, {"until_ns": Ages()})
+
+
+def test_times_within_values_are_taken_out_by_their_declarations_and_put_back() -> None:
+    clocks = Clocks(Outer)
+    value = Outer(Timed(status_ns=NOW - 7, odd_since_ns=NOW - 3, noted_ns=5), Latch(Asked.MANUAL, NOW - 1))
+    ages: list[int] = []
+    content = clocks.apart(value, NOW, ages)
+    assert sorted(age for age in ages if 0 < age < 10) == [1, 3, 7]
+    assert content == Outer(Timed(), Latch(Asked.MANUAL, cast(int, None)))
+    assert clocks.whole(content, iter(ages)) == replace(value, supervisor=replace(value.supervisor, noted_ns=0))
+    edges = edges_of(clocks, BridgeConfig())
+    assert (300_000_000, 3_100_000_000) in edges
+    assert (500_000_000,) in edges
+    missing: list[int] = []
+    assert clocks.whole(clocks.apart(Outer(Timed()), NOW, missing), iter(missing)) == Outer(Timed())
+    assert len(missing) == len(ages)
+
+
+def test_every_time_of_the_bridges_state_is_declared_with_ages_that_the_configuration_has() -> None:
+    edges = edges_of(Clocks(BridgeState), BridgeConfig())
+    assert len(edges) > 20
+    assert sum(not any(ages) for ages in edges) == 1  # of the gate's last cycle no age matters
+
+
+NO_AGES = {
+    "sensor_stale_ns": "data of that age counts like a stale command",
+    "sensor_future_ns": "it is compared once, as the command comes",
+    "backlog_ns": "it is compared once, as the frame is read",
+    "slip_memory_ns": "the searched environment chooses what the checks find",
+}
+
+
+def test_every_time_of_the_configuration_is_an_age_of_some_time_of_the_state() -> None:
+    """A reaction that comes after a new time, and whose state does not say so, would be searched at no edge of it."""
+    declared = {
+        name for ages in Clocks(BridgeState).ages for at in (*ages.at, *ages.gap) for name in str(at).split(" + ")
+    }
+    configured = {name for name in BridgeConfig.__struct_fields__ if name.endswith("_ns")}
+    assert declared <= configured
+    assert configured - declared == set(NO_AGES)
+
+
+def test_every_scope_that_can_send_has_endings() -> None:
+    for one in SCOPES:
+        assert bool(one.endings) is not one.setting.config.listen_only, one.name
 
 
 def test_if_as_driving_is_never_left_a_stop_request_is_the_end() -> None:
-    insisting = scope("any car")
-    choices = tuple(insisting.endings.values())
-    one = Scope("insisting", "", choices, len(choices), endings=insisting.endings)
-    found = explore(Composition(one), bounds_ns=insisting.bounds_ns)
+    found = explore(Composition(replace(scope("any car"), everywhere=())))
     assert found.holds
     assert len(found.bounds_ns) == 2
     assert all(0 < bound_ns <= 5_000_000_000 for bound_ns in found.bounds_ns.values())
@@ -176,8 +238,7 @@ def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
             if not (kept and step):
                 choice = model.choices[chance.randrange(len(model.choices))]
             # Ages go on as they are: compared is what is forgotten, not what is rounded.
-            (disc, ages), _, asked = model._cycle(held, choice, CYCLE_NS)
-            held = disc, tuple(ages)
+            held, _, asked = model._cycle(held, choice, CYCLE_NS)
             _, _, expected = living.live(choice, NOW + (step + 1) * CYCLE_NS)
             assert (asked is None) == (expected is None)
             if asked is not None and expected is not None:
@@ -221,7 +282,7 @@ def test_a_seeded_fault_is_found_and_told_in_words(seed: Seed) -> None:
 def test_every_rule_has_a_seed_and_every_seed_an_existing_scope() -> None:
     assert {seed.rule for seed in SEEDS} == set(RULES) - {"interval"}
     assert {seed.rule for seed in SEEDS if seed.name in _QUICK} == set(RULES) - _LONG
-    assert {seed.scope for seed in SEEDS if seed.scope} <= {one.name for one in all_scopes()}
+    assert {seed.scope for seed in SEEDS if seed.scope} <= {one.name for one in SCOPES}
     assert len({seed.name for seed in SEEDS}) == len(SEEDS)
 
 

@@ -25,9 +25,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Annotated
 
 from msgspec.structs import replace
 
+from fsai_vcu.core.ages import Ages, NoAge, NotSearched
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.supervision.config import BridgeConfig
@@ -94,12 +96,13 @@ class GateState(Value, frozen=True):
 
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
     brake: float = 0.0  # fraction last asked for, for when it must be kept
-    cycle_ns: int | None = None
+    cycle_ns: Annotated[int | None, Ages()] = None  # one cycle ago, or longer: the steering's rate is no timer
 
     # The interlock. Before the first complete cycle the VCU may still hold what an earlier process sent.
     torque_there: bool = True
     zero_cycles: int = 0  # complete cycles with both at zero since anything above it was tried; 2 means more
-    zero_since_ns: int = 0  # while there is one of them: when it was sent
+    # While there is one of them: when it was sent
+    zero_since_ns: Annotated[int, NoAge("it is compared with the time of one 0x524: newer or not")] = 0
     torque_running: bool = False  # torque rose properly and has not been back at zero since
     tried_torque: bool = False  # what the cycle that is out now asks for
     tried_brake: bool = False
@@ -108,7 +111,7 @@ class GateState(Value, frozen=True):
     # Other things that the gate has seen for itself
     tried_selected: bool = False  # the cycle that is out now says SELECTED
     acknowledged_run_id: int | None = None  # the last run for which such a cycle went out whole
-    pulses: Pulses = NO_PULSES
+    pulses: Annotated[Pulses, NotSearched("a wheel turns as SupervisorState.turning_ns says")] = NO_PULSES
 
     # Logging
     run_id: int = 0

@@ -7,9 +7,11 @@ has been implausible, and the supervisor's table says what follows after how lon
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from msgspec.structs import replace
 
+from fsai_vcu.core.ages import CHOSEN, Ages
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
@@ -31,8 +33,8 @@ class SteeringCheck(Value, frozen=True):
     target_deg: float = 0.0
     slow_deg: float | None = None  # None: begins where the steering is measured
     fast_deg: float = 0.0
-    t_ns: int = 0
-    implausible_since_ns: int | None = None
+    t_ns: Annotated[int, CHOSEN] = 0
+    implausible_since_ns: Annotated[int | None, Ages("implausible_ns", "implausible_lost_ns")] = None
 
 
 def check_steering(
@@ -80,12 +82,14 @@ def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
 class WheelCheck(Value, frozen=True):
     """State of the wheels' check: since when one has not fitted the others, and until when slip explains what."""
 
-    implausible_since_ns: int | None = None
+    implausible_since_ns: Annotated[int | None, Ages("implausible_ns", "implausible_lost_ns")] = None
     detail: str = ""
-    spin_until_ns: int = 0  # torque so recently explains a driven wheel that is too fast
-    lock_until_ns: int = 0  # brake so recently explains any wheel that is too slow
-    drag_until_ns: int = 0  # a motor held by its speed limit explains a driven wheel that is too slow
-    doubted_since_ns: int | None = None  # no reading has been believed since
+    spin_until_ns: Annotated[int, CHOSEN] = 0  # torque so recently explains a driven wheel that is too fast
+    lock_until_ns: Annotated[int, CHOSEN] = 0  # brake so recently explains any wheel that is too slow
+    drag_until_ns: Annotated[int, CHOSEN] = (
+        0  # a motor held by its speed limit explains a driven wheel that is too slow
+    )
+    doubted_since_ns: Annotated[int | None, CHOSEN] = None  # no reading has been believed since
 
 
 def wheel_factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:

@@ -28,10 +28,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import Enum, IntEnum, auto
 from types import MappingProxyType
+from typing import Annotated
 
 from msgspec import field
 from msgspec.structs import replace
 
+from fsai_vcu.core.ages import Ages, NoAge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
@@ -234,7 +236,7 @@ class Latch(Value, frozen=True):
     """A stop or an emergency, with its cause and since when."""
 
     cause: Reason | Asked
-    since_ns: int
+    since_ns: Annotated[int, Ages("stop_timeout_ns")]
     detail: str = ""
 
     @property
@@ -253,21 +255,27 @@ class SupervisorState(Value, frozen=True):
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
-    status_ns: int | None = None  # the last 0x520 that was believed
-    received_ns: int | None = None  # the last 0x520 of any content
+    status_ns: Annotated[int | None, Ages("vcu_stale_ns", "vcu_lost_ns")] = None  # the last 0x520 that was believed
+    received_ns: Annotated[int | None, Ages(gap=("power_cycle_ns",))] = None  # the last 0x520 of any content
     was_silent: bool = False  # a power cycle's silence lies before the next believed 0x520
     doubted: bool = False  # the newest 0x520 is not believed
-    known_again_ns: int | None = None  # the first one believed after that
+    known_again_ns: Annotated[int | None, Ages("as_state_known_ns")] = None  # the first one believed after that
     sequence: Sequence = Sequence.NONE
-    ready_since_ns: int | None = None
-    ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
-    driving_since_ns: int | None = None
+    ready_since_ns: Annotated[int | None, Ages("ready_wait_ns")] = None
+    # From the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
+    ready_waited_ns: Annotated[int, NoAge("a duration: long enough or not")] = 0
+    driving_since_ns: Annotated[
+        int | None,
+        Ages("launch_wait_ns", "launch_wait_ns + command_stale_ns", "launch_wait_ns + command_lost_ns"),
+    ] = None
 
     # Reported by 0x525, and by 0x526 of the wheels' turning (see wheel_speeds.Pulses)
-    speeds_ns: int | None = None
+    speeds_ns: Annotated[
+        int | None, Ages("feedback_stale_ns", "feedback_lost_ns", gap=("feedback_stale_ns", "wheel_jump_ns"))
+    ] = None
     fastest_rpm: int = 0
-    still_since_ns: int | None = None
-    turning_ns: int | None = None
+    still_since_ns: Annotated[int | None, Ages("standstill_ns")] = None
+    turning_ns: Annotated[int | None, Ages("standstill_ns")] = None
 
     # The run
     run_id: int = 1
@@ -280,10 +288,12 @@ class SupervisorState(Value, frozen=True):
     power_up: bool = True  # autonomous_at_power_up has not acted since the car was switched on
     stop: Latch | None = None
     emergency: Latch | None = None
-    stop_window_ns: int = 0  # where the window began over which a deceleration must show
+    # Where the window began over which a deceleration must show
+    stop_window_ns: Annotated[int, Ages("stop_window_ns")] = 0
     stop_window_rpm: int | None = None  # None: not measured yet
-    both_pedals_since_ns: int | None = None
-    command_stale_since_ns: int | None = None  # the first cycle without a fresh command; None: the last one had one
+    both_pedals_since_ns: Annotated[int | None, Ages("both_pedals_ns")] = None
+    # The first cycle without a fresh command; None: the last one had one
+    command_stale_since_ns: Annotated[int | None, Ages("command_lost_ns")] = None
 
     @property
     def is_confirmed(self) -> bool:

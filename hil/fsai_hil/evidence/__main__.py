@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fsai_hil.evidence.model import LEFT_OUT
-from fsai_hil.evidence.scopes import all_scopes, scope
+from fsai_hil.evidence.scopes import SCOPES, scope
 from fsai_hil.evidence.search import Search
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.evidence.work import spread
@@ -39,7 +39,7 @@ def searched(name: str) -> Searched:
 
 def search_all(names: Sequence[str]) -> list[Searched]:
     """Search the scopes of those names (none: all), printing as it goes."""
-    chosen = [scope(name).name for name in names] or [one.name for one in all_scopes()]
+    chosen = [scope(name).name for name in names] or [one.name for one in SCOPES]
     print(f"{'scope':20} {'states':>8} {'transitions':>12} {'depth':>6} {'CPU time':>10}")
     results = []
     for one in spread(searched, chosen, JOBS):
@@ -79,8 +79,8 @@ def _print_totals(results: Sequence[Searched]) -> None:
         "  A VCU that says AS_DRIVING for ever is at the end once it has received ESTOP_REQUEST, or FINISHED at rest."
     )
     for one in results:
-        if endless := scope(one.name).endless:
-            print(f"  none in '{one.name}': {endless}")
+        if not scope(one.name).endings:
+            print(f"  none in '{one.name}': a process that never sends brings no car to any end")
 
 
 def search_seeds() -> bool:

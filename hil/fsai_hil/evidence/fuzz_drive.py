@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.model import Setting, WatchedBridge
+from fsai_hil.evidence.watched import Setting, WatchedBridge
 from fsai_hil.rules.numbers import CYCLE_NS, MS
 from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.command import VehicleCommand

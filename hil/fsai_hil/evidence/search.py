@@ -5,13 +5,14 @@ from the beginning, so the first problem found has a shortest trace.
 
 A model has `initial()`, the first state; `moves(state)`, every move, where of several with one label the last is the
 one on which time passes most; `safe(state)`; and `endings`: the ways in which the environment can behave from any
-moment on, each by the label it keeps choosing. Under every one of them a safe end must come.
+moment on, each with the label it keeps choosing and the time in ns within which a safe end must come.
 """
 
 from __future__ import annotations
 
+import gc
 import itertools
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,18 +46,18 @@ class Search:
         return not self.problems
 
 
-def explore(model: Any, bounds_ns: Mapping[str, int] | None = None) -> Search:
-    """Visit every reachable state; stop at the first problem.
-
-    `bounds_ns` gives, for each ending, the time within which the safe end must come from every state.
-    """
+def explore(model: Any) -> Search:
+    """Visit every reachable state; stop at the first problem."""
     visit = _Visit(model)
-    found = visit.found
-    if not visit.finds_problem():
-        for name, label in model.endings.items():
-            if visit.misses_the_end(name, label, (bounds_ns or {}).get(name)):
-                break
-    return found
+    gc.disable()  # states hold no cycles, and the collector would go over all of them again and again
+    try:
+        if not visit.finds_problem():
+            for name, (label, bound_ns) in model.endings.items():
+                if visit.misses_the_end(name, label, bound_ns):
+                    break
+    finally:
+        gc.enable()
+    return visit.found
 
 
 class _Visit:
@@ -68,7 +69,7 @@ class _Visit:
         self._states: list[Hashable] = [model.initial()]
         self._parents = [-1]
         # By label of an ending: where each state's move leads, and how long that takes.
-        self._onward: dict[int, list[tuple[int, int]]] = {label: [] for label in model.endings.values()}
+        self._onward: dict[int, list[tuple[int, int]]] = {label: [] for label, _ in model.endings.values()}
 
     def finds_problem(self) -> bool:
         """Visit all states, as far as the first problem."""
@@ -83,9 +84,8 @@ class _Visit:
                     found.states, found.depth, found.problems = len(states), depths[at] + 1, move.problems
                     found.trace = [*self._trace(at), move]
                     return True
-                target = number.get(move.target)
-                if target is None:
-                    target = number[move.target] = len(states)
+                target = number.setdefault(move.target, len(states))
+                if target == len(states):
                     states.append(move.target)
                     self._parents.append(at)
                     depths.append(depths[at] + 1)
@@ -96,7 +96,7 @@ class _Visit:
         found.states, found.depth = len(states), depths[-1]
         return False
 
-    def misses_the_end(self, name: str, label: int, bound_ns: int | None) -> bool:
+    def misses_the_end(self, name: str, label: int, bound_ns: int) -> bool:
         """From every state, under one ending: how long until a safe state? Never, or too late, is a problem."""
         found, ways = self.found, self._onward[label]
         safe = [self._model.safe(state) for state in self._states]
@@ -117,7 +117,7 @@ class _Visit:
                     time_ns += ways[index][1]
                     left[index] = time_ns
                 worst = max(worst, time_ns)
-                if bound_ns is not None and time_ns > bound_ns:
+                if time_ns > bound_ns:
                     words = f"with {name} the safe end comes after {time_ns / 1e9:.3f} s, not {bound_ns / 1e9:g} s"
             if words:
                 found.problems = (Violation("safe end", words),)

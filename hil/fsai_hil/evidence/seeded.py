@@ -17,9 +17,10 @@ from unittest.mock import patch
 
 from msgspec.structs import astuple, replace
 
-from fsai_hil.evidence.model import Composition, Setting
+from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
+from fsai_hil.evidence.watched import Setting
 from fsai_hil.rules.numbers import MS
 from fsai_vcu.core import bridge
 from fsai_vcu.core.bridge import BridgeConfig
@@ -411,4 +412,4 @@ def search_for(seed: Seed) -> tuple[Search, Composition]:
     searched = scope(seed.scope)
     with patched(seed.patches):
         model = Composition(replace(searched, setting=seed.configured(searched.setting)), seed.rule)
-        return explore(model, bounds_ns=searched.bounds_ns), model
+        return explore(model), model

@@ -1,0 +1,151 @@
+"""The bridge as it is searched and fuzzed: the checker of the rules beside it is told what happens to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from msgspec import field
+
+from fsai_hil.rules.checker import WireChecker
+from fsai_hil.rules.numbers import BACKLOG_NS
+from fsai_hil.rules.seen import Process
+from fsai_hil.simulator.profiles import SPECIFICATION, Profile
+from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
+from fsai_vcu.core.vehicle.odometry import OdometryState
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.interface.codec import Codec, codec_of
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import AiCommand
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.values import Value
+
+
+class Setting(Value, frozen=True):
+    """The subject of a search: the configuration of the AI side and the car at the other end."""
+
+    config: BridgeConfig = field(default_factory=lambda: BridgeConfig(steer_rate_degps=1500.0))
+    revision: str = "2026"
+    car: VehicleParameters = CARS["2026"]
+    profile: Profile = SPECIFICATION
+    first_state: AsState = AsState.AS_INIT
+    limits: OperationalLimits = field(default_factory=lambda: OperationalLimits(8.0, 120.0, 12.0))
+
+    @property
+    def codec(self) -> Codec:
+        return codec_of(revision(self.revision))
+
+    def checker(self, **process: Any) -> WireChecker:
+        """The checker of the rules at the sender's own place; `process`: what else it knows of the configuration."""
+        config = self.config
+        return WireChecker(
+            self.codec,
+            in_flight_ns=0,
+            handshake_in_flight_ns=0,
+            clock_slack_ns=0,
+            car=self.car,
+            limits=self.limits,
+            steer_rate_degps=config.steer_rate_degps,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
+            process=Process(
+                listen_only=config.listen_only,
+                autonomous_at_power_up=config.autonomous_at_power_up,
+                service_brake_pct=config.stop_brake_pct,
+                stop_cycles=config.stop_cycles,
+                **process,
+            ),
+        )
+
+
+class WatchedBridge(Bridge):
+    """The bridge: what is asked of it and happens to it, and how it answers, its checker is told."""
+
+    checker: WireChecker
+
+    def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
+        current = command.run_id == self.state.supervisor.run_id
+        problems = super().on_command(command, now_ns)
+        self.checker.on_command(command, bool(problems), now_ns, current=current)
+        return problems
+
+    def on_reset_confirmed(self, role: str, run_id: int) -> None:
+        super().on_reset_confirmed(role, run_id)
+        if run_id == self.state.supervisor.run_id:
+            self.checker.on_confirmed(role)
+
+    def set_mode(self, mode: str, now_ns: int) -> tuple[bool, str]:
+        answer = super().set_mode(mode, now_ns)
+        self.checker.on_mode(mode, answer, now_ns)
+        return answer
+
+    def emergency_brake(self, why: str, now_ns: int) -> tuple[bool, str]:
+        answer = super().emergency_brake(why, now_ns)
+        self.checker.on_emergency(answer[0])
+        return answer
+
+    def reset(self, now_ns: int) -> tuple[bool, str]:
+        answer = super().reset(now_ns)
+        self.checker.on_reset(answer[0], now_ns)
+        return answer
+
+    def bus_lost(self, why: str, now_ns: int) -> None:
+        super().bus_lost(why, now_ns)
+        self.checker.on_bus_lost(now_ns)
+
+    def bus_back(self, now_ns: int) -> None:
+        super().bus_back(now_ns)
+        self.checker.on_bus_back(now_ns)
+
+    def loop_fault(self, why: str, now_ns: int) -> None:
+        super().loop_fault(why, now_ns)
+        self.checker.on_loop_fault()
+
+    def begin_stop(self, now_ns: int) -> None:
+        super().begin_stop(now_ns)
+        self.checker.on_end()
+
+
+class SearchedBridge(WatchedBridge):
+    """The bridge, whose plausibility checks say what the environment wants."""
+
+    steer_odd = False
+    wheel_odd = False
+
+    def _on_revision(self, frame: Frame) -> None:
+        """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""
+
+    def _moved(self, state: BridgeState) -> OdometryState:
+        return state.odometry
+
+    def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
+        def since_ns(odd: bool, before_ns: int | None) -> int | None:
+            return (now_ns if before_ns is None else before_ns) if odd and state.supervisor.driving else None
+
+        return (
+            SteeringCheck(implausible_since_ns=since_ns(self.steer_odd, state.steering.implausible_since_ns)),
+            WheelCheck(implausible_since_ns=since_ns(self.wheel_odd, state.wheels.implausible_since_ns)),
+        )
+
+
+EVENTS: Final[Mapping[str, Callable[[WatchedBridge, int], object]]] = {
+    "an intruder sends 0x511": lambda b, now: (b.on_frame(Frame(0x511, bytes(4), now)), b.checker.on_intruder("0x511")),
+    "the loop misses its deadline": lambda b, now: b.loop_fault("a deadline was missed by 50 ms", now),
+    "the bus is lost": lambda b, now: b.bus_lost("the interface is gone", now),
+    "the bus is back": lambda b, now: b.bus_back(now),
+    "the software is stopped": lambda b, now: b.begin_stop(now),
+    "frames waited for 20 ms": lambda b, now: b.backlog(BACKLOG_NS, now),
+    "manual asked for": lambda b, now: b.set_mode("manual", now),
+    "autonomous asked for": lambda b, now: b.set_mode("autonomous", now),
+    "sideways asked for": lambda b, now: b.set_mode("sideways", now),  # which is no mode
+    "emergency brake asked for": lambda b, now: b.emergency_brake("somebody asked for it", now),
+    "reset asked for": lambda b, now: b.reset(now),
+}
+"""The events of a cycle that the process sees, by the name in `Choice.event`."""
+HAPPENINGS: Final = tuple(event for event in EVENTS if not event.endswith("asked for"))
+RESTART: Final = "restart"  # an event too: another process takes the bridge's place
