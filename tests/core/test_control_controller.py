@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.car_signals import Actuation
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.controller import FEEL_ITS_WAY_MPS, Controller
 from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.speed_profile import speed_profile
@@ -325,16 +325,22 @@ def test_the_car_stands_at_the_stopping_place() -> None:
     assert len(drive.braked_at_m()) == 1
 
 
-def test_where_the_path_is_not_borne_out_the_car_is_slow() -> None:
-    """At the end of what is supported the speed is at most the one set for it."""
+def test_the_shorter_the_path_borne_out_the_slower() -> None:
+    """The front wheels can stop on it; where hardly any is, the car feels its way."""
 
     def brakes(supported_m: float, speed_mps: float) -> bool:
         return ask(plan_of(STRAIGHT, supported_m=supported_m), speed_mps).brake > 0.0
 
-    assert not brakes(15.0, 6.0)
-    assert brakes(4.0, 6.0)
-    assert not brakes(1.0, SETTINGS.end_of_path_mps)
-    assert brakes(1.0, SETTINGS.end_of_path_mps + 1.0)
+    assert not brakes(15.0, 6.5)
+    assert brakes(7.5, 6.5) and not brakes(7.5, 4.5)
+    assert brakes(4.5, 4.5) and not brakes(4.5, 2.5)
+    assert not brakes(1.0, FEEL_ITS_WAY_MPS) and brakes(1.0, FEEL_ITS_WAY_MPS + 1.0)
+
+
+def test_a_car_can_stand_within_what_it_sees() -> None:
+    drive = Drive(path_of((40.0, 0.0)), SETTINGS, ahead_m=7.0, supported_m=7.0)
+    fast = drive.speed_mps.max()
+    assert 3.0 < fast and fast * (0.1 + CAR.brake_dead_time_s) + fast**2 / (2.0 * 8.0) < 7.0 - CAR.wheelbase_m
 
 
 def test_an_unsure_plan_is_driven_slowly_and_ends_in_a_stop() -> None:

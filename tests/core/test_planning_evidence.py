@@ -78,6 +78,25 @@ def test_one_look_elsewhere_does_not_turn_the_car() -> None:
     assert course == SURE
 
 
+def test_a_way_found_in_every_other_look_alone_is_lost() -> None:
+    evidence, nowhere = Evidence(), replace(SURE, confidence=0.0)
+    for count, motion in enumerate(looks()):
+        course = evidence.judged(nowhere if count % 2 else SURE, motion)
+        if course.note.startswith("lost"):
+            break
+        assert motion.distance_m < 10.0
+
+
+def test_a_way_kept_in_doubt_is_borne_out_no_further_than_before() -> None:
+    evidence, far = Evidence(), replace(UNSURE, supported_m=19.0)
+    for count, motion in enumerate(looks()):
+        course = evidence.judged(SURE if count < 20 else far, motion)
+        if count == 22:
+            break
+    assert course.note == "a fork"
+    assert course.supported_m == pytest.approx(SURE.supported_m - 3 * SPEED_MPS * LOOK_NS / 1e9)
+
+
 def test_a_way_kept_ends_after_some_metres() -> None:
     evidence, bend = Evidence(), replace(UNSURE, path_m=np.array((0.0, 0.1)) + STRAIGHT)
     for count, motion in enumerate(looks(1.0)):

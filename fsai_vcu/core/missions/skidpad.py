@@ -100,16 +100,19 @@ def staged(motion: Motion) -> SkidpadState:
     return SkidpadState(np.zeros(3), motion)
 
 
-def search_skidpad(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> SkidpadState:
+def search_skidpad(
+    course: SkidpadCourse, state: SkidpadState, xy_m: Floats, lane_in_m: float = math.inf
+) -> SkidpadState:
     """The state with the car where it must be on the way in to see these cones (vehicle frame).
 
-    Found is what two looks in a row agree on. The lane alone does not say where along it the car is: it is only
-    followed then.
+    `lane_in_m`: how far ahead the circles may be at most, by the way driven. Found is what two looks in a row agree
+    on. The lane alone does not say where along it the car is: it is only followed then.
     """
-    if len(xy_m) < LANE_CONES_MIN:
+    along = SEARCH_X_M[-lane_in_m <= SEARCH_X_M]
+    if len(xy_m) < LANE_CONES_MIN or not len(along):
         return state
-    cells = np.empty((len(SEARCH_X_M), len(SEARCH_ASIDE), 3))
-    cells[..., 0], cells[..., 1:] = SEARCH_X_M[:, None], state.pose[1:] + SEARCH_ASIDE
+    cells = np.empty((len(along), len(SEARCH_ASIDE), 3))
+    cells[..., 0], cells[..., 1:] = along[:, None], state.pose[1:] + SEARCH_ASIDE
     costs = misfit(course.borders, cells.reshape(-1, 3), xy_m).reshape(cells.shape[:-1])
     costs += (cells - state.pose) ** 2 @ NEARER
     poses = cells[np.arange(len(cells)), costs.argmin(axis=1)]

@@ -22,7 +22,10 @@ CONES_MIN = 2  # in one look, that keep a way believed
 
 DOUBTFUL = 0.5  # with no more confidence a note says why
 # A car that goes on under the floor of confidence, averaged over some looks, is lost.
-FLOOR, NEWEST = 0.3, 0.2  # the latter is the share of the newest look in that average
+FLOOR = 0.3
+# Share of the newest look in that average: a look against the way weighs more than one for it, as false cones bear out
+# a wrong way in many looks.
+NEWEST_AGAINST, NEWEST_FOR = 0.2, 0.07
 DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
 FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, S  # above which a lost car that stands drives on, if it lasts
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
@@ -98,7 +101,8 @@ class Evidence:
         last, self._last = self._last, (course, motion)
         if course.finished:
             return course
-        self._sure += NEWEST * (course.confidence - self._sure)
+        news = course.confidence - self._sure
+        self._sure += (NEWEST_FOR if news > 0.0 else NEWEST_AGAINST) * news
         driven_m = 0.0 if last is None else max(0.0, motion.distance_m - last[1].distance_m)
         if self._sure >= FLOOR:
             self._doubted_m = max(0.0, self._doubted_m - 2.0 * driven_m)
@@ -143,15 +147,18 @@ class Evidence:
 
     def _kept(self, course: Course, motion: Motion) -> Course:
         """The way to a stop at once where the car is lost; where one look is in doubt, the last way that was not."""
-        way = NO_PATH
+        way, supported_m = NO_PATH, course.supported_m
         if self._trusted is not None and (self._lost or course.confidence < FLOOR):
             trusted, there = self._trusted
             if self._lost or motion.distance_m < there.distance_m + KEPT_M:
                 way = to_vehicle(motion, to_odometry(there, trusted.path_m))
                 way = way[int(np.hypot(way[:, 0], way[:, 1]).argmin()) :]
+                # Looks in doubt bear out no more of it than the last one that was not.
+                supported_m = max(0.0, trusted.supported_m - (motion.distance_m - there.distance_m))
         path = way if len(way) >= KEPT_POINTS else course.path_m
         if not self._lost:
-            return replace(course, path_m=path) if len(course.path_m) else course
+            supported_m = min(supported_m, course.supported_m)
+            return replace(course, path_m=path, supported_m=supported_m) if len(course.path_m) else course
         note = f"{LOST}{self._why}"
         return replace(course, path_m=path, supported_m=STOP_HERE_M, confidence=0.0, mapped=False, note=note)
 

@@ -46,15 +46,16 @@ class SkidpadStrategy:
         """Return the way along the figure of eight from where the cones show the car to be."""
         course = self._course
         self._state = state = advance_skidpad(course, self._state, motion, seen_xy_m)
+        lane_in_m = self.LANE_IN_MAX_M - (motion.distance_m - self._anchored_at_m)
         if state.progress_m < self.SEARCHED_UNTIL_M:
-            self._state = state = search_skidpad(course, state, seen_xy_m)
+            self._state = state = search_skidpad(course, state, seen_xy_m, lane_in_m)
         lost = self._sight.lost(seen_xy_m, motion)
         finished = state.progress_m >= course.finish_m
         if lost is not None and not finished:
             return lost
         ahead = np.arange(0.0, self.HORIZON_M + 1e-9, self._step_m)
         if not state.found:
-            if motion.distance_m - self._anchored_at_m > self.LANE_IN_MAX_M:
+            if lane_in_m < 0.0:
                 return Course(NO_PATH, confidence=0.0, note="the skidpad's circles are nowhere in the cones seen")
             lane = from_car(state.pose, np.column_stack((state.pose[0] + ahead, np.zeros_like(ahead))))
             return Course(lane, confidence=0.5, note="along the lane in: the circles have not been found yet")
@@ -62,4 +63,5 @@ class SkidpadStrategy:
         left = course.finish_m + self._missions.skidpad_stop_m - state.progress_m
         sure = self._fit.of(memory, memory.around(motion), seen_xy_m, partial(off_course, course, state))
         note = "" if sure > DOUBTFUL else "the cones seen do not stand where the skidpad has them"
-        return Course(path, laps_done(course, state), finished, max(0.0, left), confidence=sure, note=note)
+        left = max(0.0, left)
+        return Course(path, laps_done(course, state), finished, left, memory.view_m, confidence=sure, note=note)
