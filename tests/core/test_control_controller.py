@@ -337,12 +337,6 @@ def test_the_shorter_the_path_borne_out_the_slower() -> None:
     assert not brakes(1.0, FEEL_ITS_WAY_MPS) and brakes(1.0, FEEL_ITS_WAY_MPS + 1.0)
 
 
-def test_a_car_can_stand_within_what_it_sees() -> None:
-    drive = Drive(path_of((40.0, 0.0)), SETTINGS, ahead_m=7.0, supported_m=7.0)
-    fast = drive.speed_mps.max()
-    assert 3.0 < fast and fast * (0.1 + CAR.brake_dead_time_s) + fast**2 / (2.0 * 8.0) < 7.0 - CAR.wheelbase_m
-
-
 def test_an_unsure_plan_is_driven_slowly_and_ends_in_a_stop() -> None:
     slow, unsure = 0.5 * SETTINGS.confidence_sure, 0.9 * SETTINGS.confidence_min
     assert ask(plan_of(STRAIGHT, confidence=SETTINGS.confidence_sure), 4.0).throttle > 0.5

@@ -12,6 +12,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit
+from fsai_vcu.core.planning.lap_strategy import free_of_cones
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 LOOK_NS, SPEED_MPS = 50_000_000, 4.0
@@ -153,3 +154,12 @@ def test_a_known_course_is_as_sure_as_the_cones_fit(
     for _ in range(5):
         memory.add(xy, np.full(len(xy), int(ConeColor.UNKNOWN)), Motion())
     assert fits(Fit().of(memory, memory.around(Motion()), xy, beside_rows))
+
+
+@pytest.mark.parametrize(
+    ("cone", "share", "note"), [((6.0, 0.3), 0.4, "1 cone in the lane"), ((18.0, 0.0), 1.0, ""), ((6.0, 1.0), 1.0, "")]
+)
+def test_a_cone_on_the_path_borne_out_leaves_little_confidence(
+    cone: tuple[float, float], share: float, note: str
+) -> None:
+    assert free_of_cones(SURE, np.vstack((ROWS, cone))) == (share, note)

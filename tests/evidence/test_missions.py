@@ -31,8 +31,8 @@ def test_each_mission_track_and_condition_is_a_row(tmp_path: Path) -> None:
     assert main([*recorded(tmp_path, *done), "-o", str(document)]) == 0
     rows = [line for line in document.read_text().splitlines() if line.startswith("| acceleration")]
     assert rows == [
-        "| acceleration | acceleration | nominal | 2 | 2 | 0 | 0 | 0 | 9.5 | 10.0 | – |",
-        "| acceleration | acceleration | noise | 2 | 2 | 2 | 0 | 0 | 9.0 | 9.0 | – |",
+        "| acceleration | acceleration | nominal | 2 | 2 | 0 | 0 | 0 | 0 | 9.5 | 10.0 | – |",
+        "| acceleration | acceleration | noise | 2 | 2 | 0 | 2 | 0 | 0 | 9.0 | 9.0 | – |",
     ]
     assert f"Sources: `{digest()}`" in document.read_text()
     assert "**Failed: 0 of 4 runs.**" in document.read_text()
@@ -43,8 +43,18 @@ def test_a_failed_run_is_named_and_is_the_status(tmp_path: Path, capsys: pytest.
     arguments = recorded(tmp_path, run(1, "nominal"), run(2, "nominal"), run(1, "noise"), failed)
     assert main(arguments) == 1
     document = capsys.readouterr().out
-    assert "| acceleration | acceleration | noise | 2 | 1 | 0 | 1 | 0 | 9.0 | 9.0 | – |" in document
+    assert "| acceleration | acceleration | noise | 2 | 1 | 0 | 0 | 1 | 0 | 9.0 | 9.0 | – |" in document
     assert "acceleration, acceleration, noise, seed 2: off course once" in document
+
+
+def test_a_car_that_stops_in_its_lane_with_a_hard_sensor_has_not_failed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = recorded(tmp_path, run(1, "hard", "stopped"), run(2, "hard"))
+    assert main([*arguments, "--conditions", "hard"]) == 0
+    document = capsys.readouterr().out
+    assert "| acceleration | acceleration | hard | 2 | 1 | 1 | 0 | 0 | 0 | 9.0 | 9.0 | – |" in document
+    assert "**Failed: 0 of 2 runs.**" in document
 
 
 def test_cases_are_what_can_be_driven_and_nothing_twice() -> None:

@@ -41,8 +41,7 @@ AHEAD_MAX_M = 6.0  # … or that begins further ahead of it is not one from wher
 # A car that turns so much and moves so far off its path's direction gains no speed beyond this: on its way out of a
 # hairpin, where the steering was at its end, the steering needs all its rate to get back.
 ASKEW_1PM, ASKEW_RAD, ASKEW_MPS = 0.2, 0.07, 2.5
-# So hard the car can brake to stand, its front wheels on what cones bear out; slower than the latter it drives on.
-SEEN_BRAKING_MPS2, FEEL_ITS_WAY_MPS = 5.0, 1.5
+FEEL_ITS_WAY_MPS = 1.5  # so slow it drives on where hardly any path is borne out
 IN_DOUBT_MPS2 = 0.7  # at once less than what the brake is used for
 PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
 STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
@@ -300,8 +299,9 @@ class Controller:
         doubted_m, began_mps = self._doubted
         rolling = began_mps**2 - 2.0 * IN_DOUBT_MPS2 * (seen_from_m + line.along_m - here - doubted_m)
         ceiling = np.minimum(np.maximum((allowed * max(sure, 0.3)) ** 2, rolling), allowed**2)
+        # The front wheels can stop on what cones bear out.
         seen_m = here + plan.supported_m - self._car.wheelbase_m - line.along_m
-        ceiling = np.minimum(ceiling, np.maximum(2.0 * SEEN_BRAKING_MPS2 * seen_m, FEEL_ITS_WAY_MPS**2))
+        ceiling = np.minimum(ceiling, np.maximum(2.0 * settings.braking_max_mps2 * seen_m, FEEL_ITS_WAY_MPS**2))
         known = plan.mapped or plan.mission in PRESET
         lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
         return speed_profile(

@@ -28,6 +28,7 @@ SURE = 0.5  # confidence with which the lane found is believed in the next look
 KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that cone
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
 KNOWN_NONE, KNOWN_SPAN = (0.55, 0.3), 0.25  # … that leaves no confidence without and with colours; to full confidence
+IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -64,23 +65,22 @@ class LapStrategy:
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         """Return the way on: along the race line where the map bears it out, else in the lane that the cones make."""
         cones = memory.around(motion)
+        sure_xy_m = cones.xy_m[memory.sure(cones.index)]
         racing = self._racing
         here, path, doubt = motion, NO_PATH, ""
         if racing is not None:
             here = racing.see(seen_xy_m, motion)
-            path, doubt = racing.path(cones.xy_m[memory.sure(cones.index)], here), racing.note
+            path, doubt = racing.path(sure_xy_m, here), racing.note
         if racing is not None and len(path):
             reach_m = self._settings.path_step_m * len(path)
             course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)
             self._kept_confidence = 0.0  # what the last look at the lane found is far behind
         else:
             course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
-            clear, unknown = self._clear_of_false(memory, cones, seen_xy_m)
-            if clear < DOUBTFUL:
-                course = replace(course, note="; ".join(filter(None, (unknown, course.note))))
-            course = replace(course, confidence=float(clear * course.confidence))
-            if doubt:
-                course = replace(course, note="; ".join(filter(None, (doubt, course.note))))
+            clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
+            free, blocked = free_of_cones(course, sure_xy_m)
+            notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, course.note)
+            course = replace(course, confidence=clear * free * course.confidence, note="; ".join(filter(None, notes)))
         self._count(cones, course.path_m, here)
         if racing is not None:
             self._state = racing.close(self._state, here)
@@ -94,14 +94,13 @@ class LapStrategy:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
         return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
 
-    def _clear_of_false(self, memory: ConeMemory, cones: Cones, seen_xy_m: Floats) -> tuple[float, str]:
+    def _clear_of_false(self, cones: Cones, sure_xy_m: Floats, seen_xy_m: Floats) -> tuple[float, str]:
         """The share of confidence that is left by cones seen where none stand, and the note on it.
 
         Without colours fewer of them are enough to make a lane where there is none.
         """
         if len(seen_xy_m) and len(cones.xy_m):
-            sure = cones.xy_m[memory.sure(cones.index)]
-            known = np.count_nonzero(gaps(seen_xy_m, sure).min(axis=1, initial=math.inf) < KNOWN_M)
+            known = np.count_nonzero(gaps(seen_xy_m, sure_xy_m).min(axis=1, initial=math.inf) < KNOWN_M)
             self._known += NEWEST_KNOWN * (known / len(seen_xy_m) - self._known)
         colored = np.count_nonzero(cones.color) / max(1, len(cones.color))
         none = KNOWN_NONE[0] + colored * (KNOWN_NONE[1] - KNOWN_NONE[0])
@@ -168,6 +167,17 @@ class LapStrategy:
             if self._state.line.seen and not self._state.sighted:
                 least_m = 0.5 * (least_m + most_m)
             self._stop_m = min(max(least_m, braking_m(motion.speed_mps, LAP_BRAKING_MPS2)), most_m)
+
+
+def free_of_cones(course: Course, sure_xy_m: Floats) -> tuple[float, str]:
+    """The share of confidence that is left by cones (vehicle frame) that stand in the lane, and the note on it."""
+    path = course.path_m
+    if not (len(path) and len(sure_xy_m)):
+        return 1.0, ""
+    borne_out = path[lengths_along(path) <= course.supported_m]
+    away_m = gaps(sure_xy_m, borne_out).min(axis=1, initial=math.inf)
+    inside = int(np.count_nonzero(away_m < IN_LANE_M))
+    return IN_LANE_SHARE**inside, f"{inside} cone{'s' * (inside != 1)} in the lane" if inside else ""
 
 
 def _gate_across(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:

@@ -43,6 +43,8 @@ RANGE_M, HALF_VIEW_RAD, BLIND_M = 15.0, math.radians(60.0), 0.6
 STEP_M, SPEED_MPS = 0.5, 5.0
 JUDGED_M, SHORT_M, HALF_WIDTH_M = 10.0, 5.0, 1.43 / 2.0
 HAIRPIN_OUTSIDE_M = 9.0  # the smallest of the rules
+RUN = Run(1, Ami.TRACKDRIVE, AsState.AS_DRIVING, may_move=True)
+SEEN_ALONE = 2  # times that a look without others is taken in: a cone seen once is none yet
 SEEN_BEFORE = 4  # looks from the start before the first is judged
 TRACKS = ("small_oval", "autocross", "trackdrive", "random-2", "hairpin-3-0.5", "hairpin-3.5-0", "hairpin-4-1")
 HEADS = ("condition", "looks", "mean m", "max m", "failed %", "p50 ms", "p99 ms")
@@ -63,6 +65,7 @@ class Condition(NamedTuple):
     laid: Callable[[Floats, Ints, Floats], Placed] = _as_it_is  # the third: the middle, (N, 2)
     off_m: float = 0.0
     off_rad: float = 0.0
+    alone: bool = False  # each look by itself: nothing is remembered of the others
 
 
 def _swapped(xy: Floats, color: Ints, draw: np.random.Generator) -> Placed:
@@ -86,6 +89,10 @@ def _missing(xy: Floats, color: Ints, draw: np.random.Generator) -> Placed:
     return xy[kept], color[kept]
 
 
+def _colourless(xy: Floats, color: Ints, _: object) -> Placed:
+    return xy, np.full_like(color, ConeColor.UNKNOWN)
+
+
 def _ghosts(xy: Floats, color: Ints, draw: np.random.Generator) -> Placed:
     """Add to one look in two a cone that is not there, anywhere in view."""
     count = int(draw.random() < 0.5)
@@ -98,7 +105,8 @@ CONDITIONS = (
     Condition("ideal"),
     Condition("0.5 m and 5 deg off", off_m=0.5, off_rad=math.radians(5.0)),
     Condition("10 % missing", _missing),
-    Condition("no colours", lambda xy, color, draw: (xy, np.full_like(color, ConeColor.UNKNOWN))),
+    Condition("no colours", _colourless),
+    Condition("no colours, look alone", _colourless, alone=True),
     Condition("noise 0.1 m", lambda xy, color, draw: (xy + 0.1 * draw.standard_normal(xy.shape), color)),
     Condition("clutter", laid=_cluttered),
     Condition("ghosts", _ghosts),
@@ -156,7 +164,7 @@ def judged(track: Track, line: Floats, condition: Condition, name: str) -> Row:
     draw = np.random.default_rng(7)
     cones, colors = condition.laid(track.cones_xy_m, track.cone_colors, line)
     planner = Planner(replace(CARS["2026"], nose_ahead_of_rear_axle_m=0.0))
-    planner.reset(Run(1, Ami.TRACKDRIVE, AsState.AS_DRIVING, may_move=True))
+    planner.reset(RUN)
     borders = [border for border in (track.left_border_m, track.right_border_m) if border is not None]
     # From each point of the middle to the nearer line of cones.
     away = [_distances(line, np.concatenate((border, border[:1]))) for border in borders]
@@ -170,6 +178,10 @@ def judged(track: Track, line: Floats, condition: Condition, name: str) -> Row:
         far, angle = np.hypot(here[:, 0], here[:, 1]), np.abs(np.arctan2(here[:, 1], here[:, 0]))
         seen = (far < RANGE_M) & (angle < HALF_VIEW_RAD) & (here[:, 0] > BLIND_M)
         xy, color = condition.seen(here[seen], colors[seen], draw)
+        if condition.alone:
+            planner.reset(RUN)
+            for _ in range(SEEN_ALONE - 1):
+                planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
         began_s = time.thread_time()
         plan = planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
         took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))

@@ -42,6 +42,8 @@ STYLES: Final[Mapping[str, Style]] = MappingProxyType(
     {
         "mixed": Style((3.0, 5.0), (12.0, 20.0), (5, 3, 1, 1)),
         "open": Style((3.0, 5.0), (16.0, 24.0), (5, 1, 1, 0)),
+        # Straights on both sides of an island as wide as a lane, where nothing but colours tells it from one.
+        "islands": Style((3.0, 4.0), (9.5, 14.0), (1, 4, 0, 0)),
         "tight": Style((3.0, 3.5), (9.0, 12.0), (2, 3, 1, 1)),  # tighter than the car can turn with 21 deg of steering
     }
 )
