@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from fsai_hil.evidence import __main__ as command
 from fsai_hil.evidence.__main__ import main
-from fsai_hil.evidence.abstraction import NOW, Clocks, edges_of
+from fsai_hil.evidence.abstraction import FRESH, NOW, Clocks, edges_of
 from fsai_hil.evidence.model import Composition, State
 from fsai_hil.evidence.scopes import DEAF, GO, MOVES, MOVING, PATH, SCOPES, STANDS, Scope, scope
 from fsai_hil.evidence.search import Move, Search, explore
@@ -149,7 +149,7 @@ def test_times_within_values_are_taken_out_by_their_declarations_and_put_back() 
     ages: list[int] = []
     content = clocks.apart(value, NOW, ages)
     assert sorted(age for age in ages if 0 < age < 10) == [1, 3, 7]
-    assert content == Outer(Timed(), Latch(Asked.MANUAL, cast(int, None)))
+    assert content == Outer(Timed(stop_window_ns=FRESH), Latch(Asked.MANUAL, FRESH))
     assert clocks.whole(content, iter(ages)) == replace(value, supervisor=replace(value.supervisor, noted_ns=0))
     edges = edges_of(clocks, BridgeConfig())
     assert (300_000_000, 3_100_000_000) in edges

@@ -27,6 +27,7 @@ from fsai_vcu.core.vehicle.odometry import standing_start
 from fsai_vcu.interface.messages import VehicleState
 
 NOW: Final = 1_000 * S  # every state is looked at as if it were now
+FRESH: Final = NOW + CYCLE_NS  # most of what a state holds has come in the cycle that led to it
 NEVER: Final = -1
 
 _RUN: Final = 2  # every run in hand has this number
@@ -45,7 +46,7 @@ class Clocks:
         Raises ValueError, which names the file to change, if a time has no declaration.
         """
         self._times: list[str] = []
-        self._begin: dict[str, Any] = {}  # times, and fields that are not searched, as they begin
+        self._apart: dict[str, Any] = {}  # what stands for a time, and in a field that is not searched
         self.ages: list[Ages] = []  # of all times, in the order in which they are taken out
         parts: list[tuple[str, Clocks]] = []
         hints = get_type_hints(made, include_extras=True)
@@ -55,11 +56,12 @@ class Clocks:
             own = [note for note in notes if isinstance(note, (Ages, NoAge, NotSearched, Within))]
             note = given.get(name) or (own[0] if own else None)
             kind = _kind_in(bare)
-            if isinstance(note, (Ages, NotSearched)):
-                self._begin[name] = _default(spec)
-                if isinstance(note, Ages):
-                    self._times.append(name)
-                    self.ages.append(note)
+            if isinstance(note, NotSearched):
+                self._apart[name] = _default(spec)
+            elif isinstance(note, Ages):
+                self._apart[name] = None if spec.default is None else FRESH
+                self._times.append(name)
+                self.ages.append(note)
             elif kind:
                 parts.append((name, Clocks(kind, note.fields if isinstance(note, Within) else {})))
             elif note is None and name.endswith("_ns"):
@@ -69,7 +71,7 @@ class Clocks:
                 )
         if unknown := given.keys() - hints.keys():
             raise ValueError(f"{made.__name__} has no {', '.join(sorted(unknown))}")
-        self._parts = [(name, inner) for name, inner in parts if inner._begin or inner._parts]
+        self._parts = [(name, inner) for name, inner in parts if inner._apart or inner._parts]
         self.ages += (ages for _, inner in self._parts for ages in inner.ages)
         self._never = [NEVER] * len(self.ages)
 
@@ -82,8 +84,11 @@ class Clocks:
             t_ns = getattr(value, name)
             ages.append(NEVER if t_ns is None else now - t_ns if t_ns < now else 0)
         if not self._parts:
-            return replace(value, **self._begin)
-        rest = self._begin.copy()
+            for name, stands in self._apart.items():
+                if getattr(value, name) != stands:
+                    return replace(value, **self._apart)
+            return value
+        rest = self._apart.copy()
         for name, inner in self._parts:
             rest[name] = inner.apart(getattr(value, name), now, ages)
         return replace(value, **rest)
@@ -118,6 +123,7 @@ def _kind_in(hint: Any) -> type[Struct] | None:
 
 
 _BRIDGE: Final = Clocks(BridgeState)
+FITTING: Final = SteeringCheck(), WheelCheck()
 _AT_REST: Final = standing_start(0)
 
 
@@ -173,7 +179,7 @@ class Abstraction:
         if complete_ns is not None and not (s.driving and self._sends_fail):
             complete_ns = now
         if over:
-            steering, wheels = SteeringCheck(), WheelCheck()
+            steering, wheels = FITTING
         return replace(
             state,
             supervisor=self._supervisor(s, command, over, now),

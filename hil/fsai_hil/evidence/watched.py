@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from msgspec import field
 
+from fsai_hil.evidence.abstraction import FITTING
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS
 from fsai_hil.rules.seen import Process
@@ -15,6 +16,9 @@ from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import Decision
+from fsai_vcu.core.tally import Tally
 from fsai_vcu.core.vehicle.odometry import OdometryState
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, codec_of
@@ -111,11 +115,28 @@ class WatchedBridge(Bridge):
         self.checker.on_end()
 
 
+class NoTally(Tally):
+    """The counts of a searched bridge, which nobody reads: nothing that is sent depends on them."""
+
+    def received(self, can_id: int) -> None:
+        """Count nothing."""
+
+    def activate(self, decision: Decision, reasons: frozenset[Reason]) -> None:
+        """Count nothing."""
+
+    def answered(self, now_ns: int) -> None:
+        """Count nothing."""
+
+
 class SearchedBridge(WatchedBridge):
     """The bridge, whose plausibility checks say what the environment wants."""
 
     steer_odd = False
     wheel_odd = False
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.tally = NoTally()
 
     def _on_revision(self, frame: Frame) -> None:
         """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""
@@ -124,6 +145,9 @@ class SearchedBridge(WatchedBridge):
         return state.odometry
 
     def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
+        if not (self.steer_odd or self.wheel_odd):
+            return FITTING
+
         def since_ns(odd: bool, before_ns: int | None) -> int | None:
             return (now_ns if before_ns is None else before_ns) if odd and state.supervisor.driving else None
 
