@@ -73,7 +73,8 @@ class Sender:
         self.status = VcuStatus(as_state=OFF, ami=Ami.TRACKDRIVE, as_switch=True, ts_switch=True)
         self.rpm = 0
         self.counts: int | None = None
-        self.torque_max_nm, self.angle_max_deg = 195.0, 30.0
+        self.torque_max_nm, self.angle_max_deg, self.angle_deg = 195.0, 30.0, 0.0
+        self.wheel_rpm: tuple[int, int, int, int] | None = None  # each; None: all as `rpm`
         self.mute: tuple[type, ...] = ()
         self.echo: bool | None = None
         self.last = AiCommand()
@@ -95,9 +96,9 @@ class Sender:
             self.status,
             VcuDriveFront(torque_max_nm=self.torque_max_nm),
             VcuDriveRear(torque_max_nm=self.torque_max_nm),
-            VcuSteer(angle_max_deg=self.angle_max_deg),
+            VcuSteer(angle_deg=self.angle_deg, angle_max_deg=self.angle_max_deg),
             VcuBrake(0.0, self.last.front_brake_pct, 0.0, self.last.rear_brake_pct),
-            WheelSpeeds(self.rpm, self.rpm, self.rpm, self.rpm),
+            WheelSpeeds(*(self.wheel_rpm or (self.rpm,) * 4)),
         )
         if self.counts is not None:
             self.receives(WheelCounts(self.counts, self.counts, self.counts, self.counts))
@@ -319,9 +320,30 @@ def odd(sender: Fed, cycles: int) -> Any:
     return sender.cycle(drive(), cycles + 1)
 
 
+def surely_odd(cycles: int, **measured: Any) -> Callable[[], Any]:
+    """For so long steering or a wheel is measured where it cannot be, and the process follows its planner.
+
+    The planner brakes, so nothing explains a wheel that is too fast.
+    """
+
+    def sender() -> Any:
+        fed = Fed(follows=True).driving()
+        fed.command = replace(fed.command, throttle=0.0, brake=0.4)
+        fed.cycle(RUNNING).cycle(PLANNED, 110).has(**measured)
+        return fed.cycle(PLANNED, cycles)
+
+    return sender
+
+
 NEUTRAL = replace(RUNNING, direction=Direction.NEUTRAL)
 ESTOP = replace(IDLE, estop_request=True)
 STOPPING, BRAKING, PLANNED = braked(RUNNING, 80.0), braked(ASKING, 80.0), braked(RUNNING, 40.0)
+
+# Steering that nobody asked for, and a wheel faster than the other three with no torque to spin it.
+ODD: dict[str, dict[str, Any]] = {
+    "steering": {"angle_deg": 9.0},
+    "a wheel": {"wheel_rpm": (240, 100, 100, 100)},
+}
 
 Make = Callable[[], Any]
 End = AiCommand | Callable[[Any], Any] | None  # another cycle that says this, or what is done
@@ -619,6 +641,16 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     ),
     Case("reactions", "ESTOP_REQUEST for what is implausible").of(
         lambda: odd(exact(), 29).cycle(RUNNING), then.cycle(STOPPING, 29).cycle(BRAKING), then.cycle(STOPPING, 30)
+    ),
+    *(
+        Case("reactions", f"ESTOP_REQUEST for {what} that is certainly odd").of(
+            surely_odd(32, **measured), then.cycle(STOPPING, 30).cycle(BRAKING), then.cycle(STOPPING, 31)
+        )
+        for what, measured in ODD.items()
+    ),
+    *(
+        Case("output table", f"a stop for {what} that is odd").of(surely_odd(32, **measured), STOPPING, PLANNED)
+        for what, measured in ODD.items()
     ),
     Case("modes", "autonomous for as long as nothing ends it").of(
         exact, SELECTED, then.has(mode="manual").cycle(SELECTED)

@@ -48,9 +48,10 @@ from fsai_hil.evidence.abstraction import (
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS, MS, S
-from fsai_hil.rules.seen import EDGES, Process, Violation
+from fsai_hil.rules.seen import EDGES, Violation
 from fsai_hil.simulator.as_machine import Situation, Table, taken, transition_table
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
+from fsai_hil.simulator.watched_bridge import WatchedBridge, process_of
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
@@ -191,13 +192,7 @@ class Setting(Value, frozen=True):
             from_start=True,
             motor_brakes=config.motor_brakes,
             short_sequence=config.short_sequence_allowed,
-            process=Process(
-                listen_only=config.listen_only,
-                autonomous_at_power_up=config.autonomous_at_power_up,
-                service_brake_pct=config.stop_brake_pct,
-                stop_cycles=config.stop_cycles,
-                **process,
-            ),
+            process=process_of(config, **process),
         )
 
 
@@ -215,59 +210,15 @@ _READY_NS: Final = 5 * S
 # ---------------------------------------------------------------- what stands in for the rest of the world
 
 
-class WatchedBridge(Bridge):
-    """The bridge: what is asked of it and happens to it, and how it answers, its checker is told."""
-
-    checker: WireChecker
-
-    def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
-        current = command.run_id == self.state.supervisor.run_id
-        problems = super().on_command(command, now_ns)
-        self.checker.on_command(command, bool(problems), now_ns, current=current)
-        return problems
-
-    def on_reset_confirmed(self, role: str, run_id: int) -> None:
-        super().on_reset_confirmed(role, run_id)
-        if run_id == self.state.supervisor.run_id:
-            self.checker.on_confirmed(role)
-
-    def set_mode(self, mode: str, now_ns: int) -> tuple[bool, str]:
-        answer = super().set_mode(mode, now_ns)
-        self.checker.on_mode(mode, answer, now_ns)
-        return answer
-
-    def emergency_brake(self, why: str, now_ns: int) -> tuple[bool, str]:
-        answer = super().emergency_brake(why, now_ns)
-        self.checker.on_emergency(answer[0])
-        return answer
-
-    def reset(self, now_ns: int) -> tuple[bool, str]:
-        answer = super().reset(now_ns)
-        self.checker.on_reset(answer[0], now_ns)
-        return answer
-
-    def bus_lost(self, why: str, now_ns: int) -> None:
-        super().bus_lost(why, now_ns)
-        self.checker.on_bus_lost(now_ns)
-
-    def bus_back(self, now_ns: int) -> None:
-        super().bus_back(now_ns)
-        self.checker.on_bus_back(now_ns)
-
-    def loop_fault(self, why: str, now_ns: int) -> None:
-        super().loop_fault(why, now_ns)
-        self.checker.on_loop_fault()
-
-    def begin_stop(self, now_ns: int) -> None:
-        super().begin_stop(now_ns)
-        self.checker.on_end()
-
-
 class SearchedBridge(WatchedBridge):
     """The bridge, whose plausibility checks say what the environment wants."""
 
     steer_odd = False
     wheel_odd = False
+
+    def on_frame(self, frame: Frame) -> None:
+        """Take in a frame that has an image and no bytes; the checker is given it decoded."""
+        Bridge.on_frame(self, frame)
 
     def _on_revision(self, frame: Frame) -> None:
         """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""
@@ -548,13 +499,9 @@ class Composition:
             run_id = b.state.supervisor.run_id + ask.run
             b.on_command(VehicleCommand(now - ask.data_age_ns, run_id, **{"speed_limit_mps": 50.0} | ask.fields), now)
         asked = b.cycle(now)
-        checker.before_cycle(now)
-        checker.on_mode_shown(b.state.supervisor.mode.value)
         if asked is not None:
             problems, images = self._images(asked)
             self._sent(choice, asked, images, now)
-        checks = b.state
-        checker.on_implausible(checks.steering.implausible_since_ns, checks.wheels.implausible_since_ns)
         problems += checker.taken()
         if problems and self._only_rule:
             problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
@@ -646,7 +593,6 @@ class Composition:
         checker.on_sending()
         for can_id, image in images[: choice.frames]:
             checker.on_ai(can_id, image, now)
-        checker.cycle_over(now)
         if not choice.car_off:
             shown: tuple[dict[str, object], ...] = (
                 {"estop": asked.estop_request, "status": asked.mission_status, "direction": asked.direction},

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.plausible import Plausibility
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation, marks_of
 from fsai_hil.rules.wheels import Belief, Wheels
@@ -38,6 +39,7 @@ from fsai_vcu.interface.reserved import AI_IDS
 ROLES: Final = frozenset(("planner", "controller"))
 OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
+IN_THE_AIR: Final = (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)  # each wheel turns for itself
 _OFF_SEEN, _READY_SEEN, WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
 _LOOKED_AT: Final = VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts
 HEEDED_IDS: Final = frozenset((*AI_IDS, *(BY_NAME[kind.dbc_name].can_id for kind in _LOOKED_AT)))
@@ -89,6 +91,7 @@ class BusView:
         self.from_start = from_start
         self.motor_brakes = motor_brakes
         self.short_sequence = short_sequence
+        self._car = car
         self._pulses_per_rev = max(one.wheel_pulses_per_rev for one in ((car,) if car else CARS.values()))
         self.driven = (True, True) if car is None else (car.driven_front, car.driven_rear)
         self.steer_rate_degps = math.inf if car is None else math.degrees(car.steer_rate_radps)
@@ -107,6 +110,7 @@ class BusView:
         self.start_ns: int | None = None
         self.now_ns = 0
         self.as_states: list[tuple[int, AsState]] = []
+        self.certain_ns: list[int] = []  # when steering or a wheel began to be certainly implausible
         self.cycles = 0
         self.incomplete = 0
         # of what is judged
@@ -125,6 +129,8 @@ class BusView:
         known = self.from_start  # what a log does not show is taken in favour of the sender
         self.seen = Seen(restarted=known, acknowledged=not known, torque_may_be_there=known, torque_runs=not known)
         self.wheels = Wheels(self._pulses_per_rev, self.in_flight_ns, self.slack_ns)
+        follows = self._car is not None and self.process is not None and self.process.follows
+        self._plausibility = Plausibility(self._car) if follows and self._car is not None else None
         self._late: dict[str, deque[tuple[int, Any]]] = {}
         self.toggle: tuple[int, bool] | None = None
         self._ai_silent = False
@@ -220,6 +226,8 @@ class BusView:
         elif isinstance(image, VcuSteer):
             s.angle_max_deg, s.steer_ns = max(0.0, image.angle_max_deg), t_ns
             self._note("angle", t_ns, s.angle_max_deg)
+            if self._plausibility is not None:
+                self._plausibility.on_angle(image.angle_deg, t_ns, judges=s.as_state is AsState.AS_DRIVING)
         elif isinstance(image, VcuBrake):
             zero = image.front_request_pct == image.rear_request_pct == 0.0
             s.echoed = (zero or (s.echoed and self.in_flight_ns > 0)) and s.zeros > 0
@@ -227,6 +235,9 @@ class BusView:
         elif isinstance(image, WheelSpeeds):
             if self.wheels.on_speeds(image.all_rpm, t_ns) is not Belief.NO:
                 self._note("rpm", t_ns, image.all_rpm)
+                launched = s.driving_ns is not None and t_ns - s.driving_ns >= n.LAUNCH_NS
+                if self._plausibility is not None and launched and s.mission not in IN_THE_AIR:
+                    self._plausibility.on_speeds(image.all_rpm, t_ns)
         elif isinstance(image, WheelCounts):
             self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), t_ns)
 
@@ -350,6 +361,8 @@ class BusView:
         drives = AI_IDS[1] in cycle.ids and AI_IDS[2] in cycle.ids
         if cycle.ids and not complete:
             self.incomplete += 1
+        if cycle.ids and self._plausibility is not None:
+            self._plausibility.on_cycle(torque=cycle.torque, brake=cycle.brake, t_ns=self.cycle_ns or now_ns)
         if complete:
             s.acknowledged = s.acknowledged or cycle.selected
             if not cycle.torque:
@@ -608,6 +621,19 @@ class BusView:
                 self._stop(f"{name} implausible for 300 ms")
             if t_ns is not None and now_ns - t_ns >= n.ODD_LOST_NS:
                 self._alarm(f"{name} implausible for 600 ms")
+        if self._plausibility is None or s.driving_ns is None:
+            return
+        certain = self._plausibility.steering_since(now_ns), self._plausibility.wheel_since(now_ns)
+        for name, t_ns in zip(("the steering", "a wheel"), certain, strict=True):
+            if t_ns is None:
+                continue
+            if t_ns not in self.certain_ns[-2:]:
+                self.certain_ns.append(t_ns)
+            lasted_ns = now_ns - max(t_ns, s.driving_ns + n.LAUNCH_NS) - n.CERTAINLY_NS
+            if lasted_ns >= n.ODD_NS:
+                self._stop(f"{name} certainly implausible for 300 ms")
+            if lasted_ns >= n.ODD_LOST_NS:
+                self._alarm(f"{name} certainly implausible for 600 ms")
 
     def _look_at_wishes(self, launched_ns: int, now_ns: int) -> None:
         """Find what the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""

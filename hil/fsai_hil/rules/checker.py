@@ -196,6 +196,8 @@ class WireChecker(BusView):
         elif isinstance(image, AiSteer):
             self._judge("0x513", image, can_id)
             s.steer_deg, s.steered_ns = image.steer_deg, t_ns
+            if self._plausibility is not None:
+                self._plausibility.on_steer_request(image.steer_deg, t_ns)
         elif isinstance(image, AiBrake):
             s.brake_pct = image.front_pct, image.rear_pct
             self._judge("0x514", image, can_id)
@@ -222,14 +224,18 @@ class WireChecker(BusView):
 
     # ------------------------------------------------------------ the process
 
-    def received(self, frame: Frame) -> None:
-        """A frame that reached the process, of any sender."""
-        if frame.error:
-            return
-        if frame.can_id in AI_IDS and not frame.extended:
+    def received(self, frames: Iterable[Frame]) -> None:
+        """Frames that reached the process, of any sender, in the order of time."""
+        self.on_frames(filter(self._of_the_car, frames))
+
+    def _of_the_car(self, frame: Frame) -> bool:
+        """Return whether the process believes that the car sent it; an intruder's frame is noted."""
+        if frame.error or frame.extended:
+            return False
+        if frame.can_id in AI_IDS:
             self.on_intruder(f"0x{frame.can_id:03X} of somebody else was received")
-        elif not frame.extended and not frame.remote and self.codec.knows(frame.can_id):
-            self.on_frame(frame)
+            return False
+        return not frame.remote and self.codec.knows(frame.can_id)
 
     def sent(self, frame: Frame) -> AiImage | None:
         """A frame of the process went out. Returns what it carries, None for what should never have been sent."""

@@ -16,7 +16,7 @@ from fsai_hil.evidence.work import Header
 
 Run = Mapping[str, Any]
 HEAD: Final = (
-    "| fault | what it is | reaction demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
+    "| fault | what it is | end demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
     " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
 )
 LISTED: Final = 40  # failures
@@ -59,8 +59,8 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         f" {len(short)} of {header['window_ms'] / 1000:g} s from a snapshot in AS_DRIVING,"
         f" {len(full)} from power-up to the end;"
         f" {len(kinds)} kinds of fault, {simulated_h:.1f} simulated hours. In each run one fault begins at a random"
-        " moment; every frame of it is checked against the safety rules by a checker that does not know the bridge,"
-        " and its end against the reaction which the rules demand.",
+        " moment; the checker of the rules, which stands beside the CAN loop and does not know its decisions, judges"
+        " every frame and every reaction by its time, and the catalogue says how each fault must end.",
         "",
         f"Sources (a digest of all code that a run uses, and of the signal databases): `{header['sources']}`.",
         "",
@@ -72,8 +72,8 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         "- *To a safe state*: until the car truly stands or its EBS acts; where it drives on, until torque was 0.",
         "- Times in milliseconds. *Left the course* counts runs in which all four wheels did after the fault: no rule"
         " on the bus forbids it, and where the fault must change nothing it is worse than allowed.",
-        "- *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus, a process of this"
-        " software that ended by an exception, and a car that stops although the rules let it drive on.",
+        "- *Worse than allowed* counts a wrong end, one that comes late, a broken rule (a late reaction is one), a"
+        " process of this software that ended by an exception, and a stop although the rules let the car drive on.",
         "- Runs in which the mission was over before a reaction could be demanded are counted, and judged by the rules"
         " on the bus only.",
         "",
