@@ -162,6 +162,7 @@ class Fed(Sender):
         super().__init__(process=Process(**process))
         self.command: VehicleCommand | None = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
         self.mode = "manual"
+        self.odd_ns: int | None = None  # since when it takes a wheel for implausible
         self.data_ms = 0  # the age of what is behind each command
         for role in ("planner", "controller"):
             self.cycle(IDLE, 20, frames=0)
@@ -188,12 +189,11 @@ class Fed(Sender):
     def says(self, command: AiCommand, frames: int = 5) -> None:
         if self.command is not None:
             self.plans(age_ms=self.data_ms)
-        self.checker.before_cycle(self.now_ns)
+        self.checker.on_cycle(self.now_ns, self.mode, None, self.odd_ns)
         if frames:
             self.checker.on_sending()
         super().says(command, frames)
         self.checker.cycle_over(self.now_ns)
-        self.checker.on_mode_shown(self.mode)
 
     def ready(self, cycles: int = 495) -> Any:
         return self.cycle(SELECTED, 3).state(READY).cycle(braked(SELECTED), cycles)
@@ -316,7 +316,7 @@ def stopped(sender: Fed) -> Any:
 
 
 def odd(sender: Fed, cycles: int) -> Any:
-    sender.driving().checker.on_implausible(None, sender.now_ns + 10 * MS)
+    sender.driving().odd_ns = sender.now_ns + 10 * MS
     return sender.cycle(drive(), cycles + 1)
 
 

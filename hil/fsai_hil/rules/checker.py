@@ -5,7 +5,7 @@ their decoded images. That is enough for a log. Who drives the process itself al
 (commands, modes, confirmations, lost buses) by a `Process`; what can be known only so is checked only then. And where
 nothing is hidden that can stop a drive (`nothing_hidden`), each output has exactly one right value, and is held to it.
 
-`bus_view.py` is what is known and what is due, `frame_rules.py` the rules, `numbers.py` their numbers.
+`bus_view.py` is what is known, `reactions.py` what is due, `frame_rules.py` the rules, `numbers.py` their numbers.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsai_hil.rules import numbers as n
-from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS, BusView
+from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS
 from fsai_hil.rules.frame_rules import CHECKS, RULES
 from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.reactions import Reactions
 from fsai_hil.rules.seen import Violation
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.interface.bus_table import BY_ID
@@ -37,7 +38,7 @@ AXLES: Final = (AiDriveFront, AiDriveRear)
 _DIGITS: Final = re.compile(r"[\d.,]+")
 
 
-class WireChecker(BusView):
+class WireChecker(Reactions):
     """Feed it with `on_frame`; read what was found at any time: `ok` means that no rule was seen broken. Times are ns.
 
     `handshake_in_flight_ns` is how young a 0x520 may be and not yet be echoed; `clock_slack_ns` covers the difference
@@ -48,9 +49,9 @@ class WireChecker(BusView):
     what was before the log is not judged. `motor_brakes`: the car on which torque against a motor speed limit of zero
     is the brake, which rule 2 does not mean. `short_sequence`: the car whose VCU does not keep to the 5 s in AS_READY.
 
-    With a `process` the caller passes on what the process is given, by the methods `on_…` and round each cycle by
-    `before_cycle`, `on_mode_shown` and `cycle_over`. An intruder on the AI computer's own ids cannot be told apart on
-    a log; who knows it keeps its frames from `on_frame`, or uses `received` and `sent`.
+    With a `process` the caller passes on what the process is given and asked, by the methods `on_…`, and when a cycle
+    is over (`simulator.watched_bridge` does). An intruder on the AI computer's own ids cannot be told apart on a log; a
+    caller who knows it keeps its frames from `on_frame`, or uses `received` and `sent`.
     """
 
     # ------------------------------------------------------------ what was found

@@ -37,9 +37,8 @@ class WatchedBridge(Bridge):
     def cycle(self, now_ns: int) -> AiCommand | None:
         command = super().cycle(now_ns)
         state = self.state
-        self.checker.before_cycle(now_ns)
-        self.checker.on_mode_shown(state.supervisor.mode.value)
-        self.checker.on_implausible(state.steering.implausible_since_ns, state.wheels.implausible_since_ns)
+        odd_ns = state.steering.implausible_since_ns, state.wheels.implausible_since_ns
+        self.checker.on_cycle(now_ns, state.supervisor.mode.value, *odd_ns)
         return command
 
     def on_sent(self, complete: bool, now_ns: int) -> None:

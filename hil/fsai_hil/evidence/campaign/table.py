@@ -14,7 +14,7 @@ from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
 from fsai_hil.evidence.work import Header
 
-Run = Mapping[str, Any]
+RunLine = Mapping[str, Any]
 HEAD: Final = (
     "| fault | what it is | end demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
     " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
@@ -22,11 +22,11 @@ HEAD: Final = (
 LISTED: Final = 40  # failures
 
 
-def failures(runs: Sequence[Run]) -> list[Run]:
+def failures(runs: Sequence[RunLine]) -> list[RunLine]:
     return [run for run in runs if run["verdict"] != "ok"]
 
 
-def command_of(header: Header, runs: Sequence[Run]) -> str:
+def command_of(header: Header, runs: Sequence[RunLine]) -> str:
     """The command that makes this record."""
     full = sum(run["full"] for run in runs)
     words = [f"fsai-vcu campaign --runs {len(runs) - full} --full {full} --seed {header['seed']}"]
@@ -42,7 +42,7 @@ def command_of(header: Header, runs: Sequence[Run]) -> str:
     return " ".join(words)
 
 
-def markdown(header: Header, runs: Sequence[Run]) -> str:
+def markdown(header: Header, runs: Sequence[RunLine]) -> str:
     """The whole document."""
     command = command_of(header, runs)
     short = [run for run in runs if not run["full"]]
@@ -117,7 +117,7 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
-def _row(name: str, runs: Sequence[Run]) -> str:
+def _row(name: str, runs: Sequence[RunLine]) -> str:
     kind = KINDS[name]
     applied = [run for run in runs if run["applies"]]
     reactions = [run["reaction_ms"] for run in applied if run["reaction_ms"] is not None]
@@ -130,17 +130,17 @@ def _row(name: str, runs: Sequence[Run]) -> str:
     )
 
 
-def _left(runs: Sequence[Run]) -> int:
+def _left(runs: Sequence[RunLine]) -> int:
     return sum(run["off_course"] > 0 for run in runs)
 
 
-def _seen(runs: Sequence[Run]) -> str:
+def _seen(runs: Sequence[RunLine]) -> str:
     return _counted(
         "mission over before" if not run["applies"] and run["end"] == "ON" else run["reaction"] for run in runs
     )
 
 
-def _ends(runs: Sequence[Run]) -> str:
+def _ends(runs: Sequence[RunLine]) -> str:
     return _counted("drives to its end" if run["end"] == "ON" else run["reaction"] for run in runs)
 
 
@@ -148,7 +148,7 @@ def _counted(words: Iterable[str]) -> str:
     return ", ".join(f"{one} ({count})" for one, count in Counter(words).most_common())
 
 
-def _phase(run: Run) -> str:
+def _phase(run: RunLine) -> str:
     if run["since"] == "driving":
         return "AS_DRIVING" if run["after_ms"] >= 3000 else "first 3 s of AS_DRIVING"
     return {"start": "power-up", "ready": "AS_READY", "finished": "after the end"}[run["since"]]
