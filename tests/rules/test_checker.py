@@ -320,6 +320,14 @@ def odd(sender: Fed, cycles: int) -> Any:
     return sender.cycle(drive(), cycles + 1)
 
 
+def contradicted(sender: Fed, cycles: int) -> Any:
+    """The pulse counts run at 4 turns/s, and 0x525 says 0 rpm: not believed after some 200 ms, missing 100 ms later."""
+    sender.driving().has(rpm=0, counts=0).cycle(drive())
+    for cycle in range(cycles):
+        sender.has(counts=8 * cycle // 10).cycle(drive())
+    return sender
+
+
 def surely_odd(cycles: int, **measured: Any) -> Callable[[], Any]:
     """For so long steering or a wheel is measured where it cannot be, and the process follows its planner.
 
@@ -641,6 +649,9 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     ),
     Case("reactions", "ESTOP_REQUEST for what is implausible").of(
         lambda: odd(exact(), 29).cycle(RUNNING), then.cycle(STOPPING, 29).cycle(BRAKING), then.cycle(STOPPING, 30)
+    ),
+    Case("reactions", "a stop for speeds that the counts contradict").of(
+        Fed, lambda s: contradicted(s, 15), lambda s: contradicted(s, 40)
     ),
     *(
         Case("reactions", f"ESTOP_REQUEST for {what} that is certainly odd").of(
