@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import LEGS_MS, CampaignPlan, Since, case_from_spec, drawn
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
-from fsai_hil.evidence.campaign.demands import End
+from fsai_hil.evidence.campaign.endings import End
 from fsai_hil.evidence.campaign.injections import At, Ongoing, no_number
 from fsai_hil.simulator.faults import Delay, Drop, FaultyWire, FlipBits, Freeze, Repeat, WrongLength
 from fsai_vcu.core.command import VehicleCommand
@@ -33,7 +33,7 @@ def test_a_demand_follows_from_whatever_is_drawn() -> None:
     rng = random.Random(5)
     for kind in ROWS:
         for _ in range(20):
-            demand = kind.must.demand(drawn(kind, rng))
+            demand = kind.must.of_drawn(drawn(kind, rng))
             assert demand.ends and End.UNSAFE not in demand.ends, kind.name
 
 

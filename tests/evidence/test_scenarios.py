@@ -32,9 +32,13 @@ def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
         while not scenario.over:
             scenario.step()
     first, second = copied
-    assert first.seen == whole.seen
-    assert second.seen == whole.seen, "the first copy's run has changed the snapshot"
-    assert first.verdict() == whole.verdict()
+    assert _all_of(first) == _all_of(whole)
+    assert _all_of(second) == _all_of(whole), "the first copy's run has changed the snapshot"
+
+
+def _all_of(scenario: Scenario) -> tuple[object, ...]:
+    rig = scenario.rig
+    return scenario.verdict(), scenario.seen, str(rig.wire), rig.wire.seen, rig.world.car.truth()
 
 
 def test_the_order_in_which_cases_are_driven_changes_nothing() -> None:

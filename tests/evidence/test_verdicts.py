@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import Case, Since
-from fsai_hil.evidence.campaign.demands import End
-from fsai_hil.evidence.campaign.observation import Cycle, Observation
+from fsai_hil.evidence.campaign.endings import End
+from fsai_hil.evidence.campaign.observation import Observation, Observer
 from fsai_hil.evidence.campaign.verdict import judge
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import Ami, AsState, MissionStatus
+from fsai_vcu.interface.messages import AiStatus
 from fsai_vcu.interface.units import MS
 
 FAULT_NS = 5_000 * MS
@@ -28,28 +30,41 @@ def observed(
     finished_from_ms: int | None = None,
     over_ms: int | None = None,
     left_course: int = 0,
-    until_ms: int = 10_000,
+    driving_from_ms: int = -5_000,
+    certain_ms: tuple[int, ...] = (),
 ) -> Observation:
-    """A drive with cycles every 10 ms; times are ms after the fault, which is at 5 s of AS_DRIVING."""
-    seen = Observation(states=[(0, AsState.AS_DRIVING)])
-    for t_ms in range(-1900, until_ms, 10):
-        t_ns = FAULT_NS + t_ms * MS
-        braking = brake_from_ms is not None and t_ms >= brake_from_ms
-        seen.cycles.append(
-            Cycle(
-                t_ns,
-                estop_from_ms is not None and t_ms >= estop_from_ms,
-                finished_from_ms is not None and t_ms >= finished_from_ms,
-                100.0 if t_ms < torque_until_ms and not braking else 0.0,
-                80.0 if braking else 0.0,
-            )
-        )
-        seen.moving.append((t_ns, rest_from_ms is None or t_ms < rest_from_ms))
-    if then is not None:
-        seen.states.append((FAULT_NS + then[0] * MS, then[1]))
-    seen.ended_ns, seen.left_course = FAULT_NS + until_ms * MS, left_course
-    seen.mission_over_ns = None if over_ms is None else FAULT_NS + over_ms * MS
-    return seen
+    """A drive with cycles every 10 ms as the observer sees it; times are ms after the fault, at 5 s of AS_DRIVING."""
+
+    def reached(t_ms: int, from_ms: int | None) -> bool:
+        return from_ms is not None and t_ms >= from_ms
+
+    history = [(FAULT_NS + driving_from_ms * MS, AsState.AS_DRIVING)]
+    memory = SimpleNamespace(torque_nm=(0.0, 0.0), brake_pct=(0.0, 0.0))
+    wire = SimpleNamespace(cycles=0, ai=AiStatus(), seen=memory, certain_ns=[FAULT_NS + ms * MS for ms in certain_ms])
+    truth = SimpleNamespace(speed_mps=5.0, wheel_rpm=(0.0,) * 4)
+    car = SimpleNamespace(speed_mps=5.0, truth=lambda: truth)
+    run = SimpleNamespace(judge=SimpleNamespace(ends_in=AsState.AS_FINISHED))
+    world = SimpleNamespace(vcu=SimpleNamespace(history=history), car=car, run=run)
+    command = SimpleNamespace(mission_finished=False, estop_request=False)
+    rig: Any = SimpleNamespace(wire=wire, world=world, now_ns=0, computer=SimpleNamespace(commanded=command))
+    observer = Observer(rig)
+    for t_ms in range(-1900, 10_000, 10):
+        rig.now_ns = FAULT_NS + t_ms * MS
+        if t_ms == 0:
+            observer.fault_begins()
+        if then is not None and t_ms >= then[0] and len(history) == 1:
+            history.append((FAULT_NS + then[0] * MS, then[1]))
+        braking, finished = reached(t_ms, brake_from_ms), reached(t_ms, finished_from_ms)
+        memory.torque_nm = 0.0, 100.0 if t_ms < torque_until_ms and not braking else 0.0
+        memory.brake_pct = (80.0 if braking else 0.0,) * 2
+        status = MissionStatus.FINISHED if finished else MissionStatus.RUNNING
+        wire.ai = AiStatus(mission_status=status, estop_request=reached(t_ms, estop_from_ms))
+        wire.cycles += 1
+        truth.speed_mps = 0.0 if reached(t_ms, rest_from_ms) else 5.0
+        command.mission_finished = reached(t_ms, over_ms)
+        observer.look(FAULT_NS if t_ms >= 0 else None)
+    observer.seen.left_course = left_course
+    return observer.seen
 
 
 def case(fault: str, **params: object) -> Case:
@@ -80,20 +95,16 @@ def emergency(estop_ms: int | None, at_ms: int) -> dict[str, Any]:
         (SILENT, {**STOPPED, **FINISHED}, End.STOP, ""),
         (SILENT, {}, End.ON, "drives on, where the rules demand: service-brake stop"),
         (SHORT, {**STOPPED, **FINISHED}, End.STOP, "where the rules demand: drives on"),
-        (SILENT, {**STOPPED, **FINISHED, "brake_from_ms": 340}, End.STOP, ""),
-        (SILENT, {**STOPPED, **FINISHED, "brake_from_ms": 350}, End.STOP, "the service brake came"),
-        (SILENT, {**STOPPED, **FINISHED, "torque_until_ms": 140}, End.STOP, ""),
-        (SILENT, {**STOPPED, **FINISHED, "torque_until_ms": 170}, End.STOP, "torque 100 Nm"),
         (SILENT, {**STOPPED, **FINISHED, "rest_from_ms": None}, End.UNSAFE, "moves where it must stand"),
         (SILENT, {**STOPPED, "rest_from_ms": None, "finished_from_ms": 2090}, End.STOP, "a safe state never came"),
         (ASKED, emergency(20, 24), End.ESTOP, ""),
-        (ASKED, emergency(40, 44), End.ESTOP, "ESTOP_REQUEST came"),
+        (ASKED, emergency(40, 44), End.ESTOP, "a safe state came"),
         (case("go_off"), emergency(None, 12), End.SELF, ""),
         (SHORT, {**ROLLS, "over_ms": 6800}, End.ON, ""),
         (SHORT, ROLLS, End.HELD, "stays in AS_DRIVING, torque 0"),
         (FAILING, {**emergency(519, 523), **BRAKED}, End.ESTOP, ""),
-        (FAILING, {**emergency(700, 704), **BRAKED}, End.ESTOP, "ESTOP_REQUEST came"),
-        (FAILING, {**emergency(3010, 3014), **BRAKED}, End.ESTOP, "ESTOP_REQUEST came"),
+        (FAILING, {**emergency(700, 704), **BRAKED}, End.ESTOP, "a safe state came"),
+        (FAILING, {**emergency(3010, 3014), **BRAKED}, End.ESTOP, "a safe state came"),
         (INTRUDER, emergency(10, 0), End.SELF, ""),
         (INTRUDER, emergency(20, 4), End.SELF, ""),
         (INTRUDER, emergency(40, 0), End.SELF, "ESTOP_REQUEST came"),
@@ -123,13 +134,6 @@ def test_reaction_and_safe_state_are_timed_from_the_fault() -> None:
     assert judge(case("go_off"), observed(**emergency(None, 12)), FAULT_NS, ()).safe_ms == 12
 
 
-def test_a_car_that_drives_again_by_itself_is_worse_than_allowed() -> None:
-    seen = observed(**STOPPED, **FINISHED)
-    seen.cycles[-5].torque_nm = 20.0
-    verdict = judge(SILENT, seen, FAULT_NS, ())
-    assert not verdict.ok and "torque 20 Nm" in verdict.faults[0]
-
-
 def test_broken_rules_and_ended_processes_are_always_worse() -> None:
     seen = observed(**STOPPED, **FINISHED)
     verdict = judge(SILENT, seen, FAULT_NS, ["1.0 s: rule 1: both"], ["the bridge's process ended: KeyError: 5"])
@@ -142,9 +146,7 @@ def test_a_mission_that_was_over_before_asks_for_no_reaction() -> None:
 
 
 def test_a_car_that_moves_before_it_may_is_worse_than_allowed() -> None:
-    seen = observed(**STOPPED, **FINISHED)
-    seen.states[0] = (FAULT_NS - 2500 * MS, AsState.AS_DRIVING)
-    verdict = judge(SILENT, seen, FAULT_NS, ())
+    verdict = judge(SILENT, observed(**STOPPED, **FINISHED, driving_from_ms=-2500), FAULT_NS, ())
     assert any("before it may" in fault for fault in verdict.faults)
 
 
@@ -185,52 +187,15 @@ def test_a_fault_never_injected_does_not_excuse_a_moving_car() -> None:
     assert not verdict.ok and verdict.end is End.UNSAFE
 
 
-def steered(off_for_ms: int, **reacts: Any) -> Observation:
-    seen = observed(**reacts)
-    for t_ms in range(-100, 3000, 10):
-        t_ns = FAULT_NS + t_ms * MS
-        seen.requests.append((t_ns, 0.0))
-        seen.angles.append((t_ns, 9.0 if 0 <= t_ms < off_for_ms else 0.0))
-    return seen
-
-
-@pytest.mark.parametrize(
-    ("off_for_ms", "reacts", "ok"),
-    [
-        (250, {}, True),
-        (500, {}, False),
-        (500, {"brake_from_ms": 310, "torque_until_ms": 310}, True),
-        (500, {"brake_from_ms": 400, "torque_until_ms": 400}, False),
-        (900, {"brake_from_ms": 310, "torque_until_ms": 310}, False),
-    ],
-)
-def test_a_certain_steering_error_must_stop_the_car_in_time(off_for_ms: int, reacts: dict[str, int], ok: bool) -> None:
-    seen = steered(off_for_ms, **reacts)
-    if reacts:
-        seen.moving = [(t_ns, moves and t_ns < FAULT_NS + 2000 * MS) for t_ns, moves in seen.moving]
-        seen.states.append((FAULT_NS + 2100 * MS, AsState.AS_FINISHED))
-        for cycle in seen.cycles_after(FAULT_NS + 2100 * MS):
-            cycle.finished = True
-    verdict = judge(case("steering_stuck_rack"), seen, FAULT_NS, ())
-    assert verdict.ok is ok, verdict.faults
+@pytest.mark.parametrize(("certain_ms", "reaction_ms"), [((100,), 210), ((100, 150, 400), 160), ((), None)])
+def test_a_reaction_to_what_shows_late_is_timed_from_then_on(certain_ms: tuple[int, ...], reaction_ms: int) -> None:
+    seen = observed(**STOPPED, **FINISHED, certain_ms=certain_ms)
+    assert judge(case("steering_stuck_rack"), seen, FAULT_NS, ()).reaction_ms == reaction_ms
 
 
 def test_reactions_to_what_is_certainly_wrong_are_timed_from_one_zero() -> None:
-    reacts = {"brake_from_ms": 310, "torque_until_ms": 310, "rest_from_ms": 1500}
-    seen = steered(700, **reacts, estop_from_ms=610, then=(620, AsState.EMERGENCY_BRAKE))
+    reacts = {**emergency(610, 620), "brake_from_ms": 310, "torque_until_ms": 310}
+    seen = observed(**reacts, certain_ms=(100,))
     verdict = judge(case("steering_stuck_rack"), seen, FAULT_NS, ())
-    assert verdict.ok and verdict.onset_ms is not None and verdict.brake_ms is not None
-    assert verdict.reaction_ms == verdict.brake_ms + 300 == 610 - verdict.onset_ms
-
-
-@pytest.mark.parametrize(("runs_for_ms", "ok"), [(150, True), (400, False)])
-def test_speeds_contradicted_by_counts_must_stop_the_car(runs_for_ms: int, ok: bool) -> None:
-    """At 4 turns/s the contradiction is sure after 200 ms; a stop is due 100 ms later."""
-    seen = observed()
-    for step in range(-50, 200):
-        t_ns = FAULT_NS + step * 10 * MS
-        runs = 0 <= step < runs_for_ms // 10
-        pulses = round(0.8 * (step if runs else 0 if step < 0 else runs_for_ms // 10))
-        seen.wheels.append((t_ns, (0, 0, 0, 0)))
-        seen.counts.append((t_ns, (pulses % 65536,) * 4))
-    assert judge(case("wheels_dead", duration=4000), seen, FAULT_NS, ()).ok is ok
+    assert verdict.ok and verdict.onset_ms == 100
+    assert verdict.brake_ms is not None and verdict.reaction_ms == verdict.brake_ms + 300 == 610 - verdict.onset_ms

@@ -13,8 +13,8 @@ from fsai_hil.rehearsal.scrutineering.conditions import (
     BY_NAME,
     CONDITIONS,
     SHORT,
-    Condition,
     Load,
+    LoadCondition,
     conditions_named,
 )
 from fsai_hil.rehearsal.scrutineering.load import (
@@ -59,7 +59,7 @@ def test_the_cars_frames_and_the_filling_are_one_full_bus() -> None:
 
 def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> None:
     disk_file = tmp_path / "disk-load"
-    condition = Condition("driving-loaded", AsState.AS_DRIVING, (Load.PROCESSORS, Load.DISK))
+    condition = LoadCondition("driving-loaded", AsState.AS_DRIVING, (Load.PROCESSORS, Load.DISK))
     with Stack("vcan0", tmp_path) as stack:
         with loaded(stack, condition, disk_file, 0.0):
             processes = list(stack.processes.values())
@@ -82,7 +82,7 @@ def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> Non
 def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     most_bytes = MEMORY_MOST_BYTES // 8
     monkeypatch.setattr(load, "MEMORY_MOST_BYTES", most_bytes)
-    condition = Condition("driving-memory", AsState.AS_DRIVING, (Load.MEMORY,))
+    condition = LoadCondition("driving-memory", AsState.AS_DRIVING, (Load.MEMORY,))
 
     def resident_bytes(pid: int) -> int:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -100,7 +100,7 @@ def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeyp
 
 
 def test_ten_viewers_watch_a_pit_wall_while_it_is_measured(tmp_path: Path) -> None:
-    condition = Condition("idle-pitwall", AsState.AS_OFF, (Load.PIT_WALL,))
+    condition = LoadCondition("idle-pitwall", AsState.AS_OFF, (Load.PIT_WALL,))
     with (
         Stack(f"loopback:watched-{os.getpid()}", tmp_path) as stack,
         pytest.raises(StackError, match="pitwall-idle-pitwall ended"),
@@ -120,7 +120,7 @@ def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path, 
     with (
         Stack("absent0", tmp_path) as stack,
         pytest.raises(StackError, match=f"driving-early ended {how}"),
-        loaded(stack, Condition("driving-early", AsState.AS_DRIVING, (load,)), tmp_path / "absent" / "file", 0.0),
+        loaded(stack, LoadCondition("driving-early", AsState.AS_DRIVING, (load,)), tmp_path / "absent" / "file", 0.0),
     ):
         (program,) = stack.processes.values()
         program.wait(60.0)
@@ -172,7 +172,7 @@ def test_a_load_that_starts_too_late_costs_its_own_condition(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(load, "_START_S", 0.0)
-    condition = Condition("idle-memory", AsState.AS_OFF, (Load.MEMORY,))
+    condition = LoadCondition("idle-memory", AsState.AS_OFF, (Load.MEMORY,))
     measurement = Measurement("vcan0", tmp_path, seconds=1.0, revision="2021", slow_place=True)
     with Stack("vcan0", tmp_path) as stack:
         measurement._stack, measurement._car = stack, stack.start("car", [sys.executable, "-c", "input()"])

@@ -73,7 +73,8 @@ class Sender:
         self.status = VcuStatus(as_state=OFF, ami=Ami.TRACKDRIVE, as_switch=True, ts_switch=True)
         self.rpm = 0
         self.counts: int | None = None
-        self.torque_max_nm, self.angle_max_deg = 195.0, 30.0
+        self.torque_max_nm, self.angle_max_deg, self.angle_deg = 195.0, 30.0, 0.0
+        self.wheel_rpm: tuple[int, int, int, int] | None = None  # each; None: all as `rpm`
         self.mute: tuple[type, ...] = ()
         self.echo: bool | None = None
         self.last = AiCommand()
@@ -95,9 +96,9 @@ class Sender:
             self.status,
             VcuDriveFront(torque_max_nm=self.torque_max_nm),
             VcuDriveRear(torque_max_nm=self.torque_max_nm),
-            VcuSteer(angle_max_deg=self.angle_max_deg),
+            VcuSteer(angle_deg=self.angle_deg, angle_max_deg=self.angle_max_deg),
             VcuBrake(0.0, self.last.front_brake_pct, 0.0, self.last.rear_brake_pct),
-            WheelSpeeds(self.rpm, self.rpm, self.rpm, self.rpm),
+            WheelSpeeds(*(self.wheel_rpm or (self.rpm,) * 4)),
         )
         if self.counts is not None:
             self.receives(WheelCounts(self.counts, self.counts, self.counts, self.counts))
@@ -161,6 +162,7 @@ class Fed(Sender):
         super().__init__(process=Process(**process))
         self.command: VehicleCommand | None = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
         self.mode = "manual"
+        self.odd_ns: int | None = None  # since when it takes a wheel for implausible
         self.data_ms = 0  # the age of what is behind each command
         for role in ("planner", "controller"):
             self.cycle(IDLE, 20, frames=0)
@@ -187,12 +189,11 @@ class Fed(Sender):
     def says(self, command: AiCommand, frames: int = 5) -> None:
         if self.command is not None:
             self.plans(age_ms=self.data_ms)
-        self.checker.before_cycle(self.now_ns)
+        self.checker.on_cycle(self.now_ns, self.mode, None, self.odd_ns)
         if frames:
             self.checker.on_sending()
         super().says(command, frames)
         self.checker.cycle_over(self.now_ns)
-        self.checker.on_mode_shown(self.mode)
 
     def ready(self, cycles: int = 495) -> Any:
         return self.cycle(SELECTED, 3).state(READY).cycle(braked(SELECTED), cycles)
@@ -315,13 +316,43 @@ def stopped(sender: Fed) -> Any:
 
 
 def odd(sender: Fed, cycles: int) -> Any:
-    sender.driving().checker.on_implausible(None, sender.now_ns + 10 * MS)
+    sender.driving()
+    sender.odd_ns = sender.now_ns + 10 * MS
     return sender.cycle(drive(), cycles + 1)
+
+
+def contradicted(sender: Fed, cycles: int) -> Any:
+    """The pulse counts run at 4 turns/s, and 0x525 says 0 rpm: not believed after some 200 ms, missing 100 ms later."""
+    sender.driving().has(rpm=0, counts=0).cycle(drive())
+    for cycle in range(cycles):
+        sender.has(counts=8 * cycle // 10).cycle(drive())
+    return sender
+
+
+def surely_odd(cycles: int, **measured: Any) -> Callable[[], Any]:
+    """For so long steering or a wheel is measured where it cannot be, and the process follows its planner.
+
+    The planner brakes, so nothing explains a wheel that is too fast.
+    """
+
+    def sender() -> Any:
+        fed = Fed(follows=True).driving()
+        fed.command = replace(fed.command, throttle=0.0, brake=0.4)
+        fed.cycle(RUNNING).cycle(PLANNED, 110).has(**measured)
+        return fed.cycle(PLANNED, cycles)
+
+    return sender
 
 
 NEUTRAL = replace(RUNNING, direction=Direction.NEUTRAL)
 ESTOP = replace(IDLE, estop_request=True)
 STOPPING, BRAKING, PLANNED = braked(RUNNING, 80.0), braked(ASKING, 80.0), braked(RUNNING, 40.0)
+
+# Steering that nobody asked for, and a wheel faster than the other three with no torque to spin it.
+ODD: dict[str, dict[str, Any]] = {
+    "steering": {"angle_deg": 9.0},
+    "a wheel": {"wheel_rpm": (240, 100, 100, 100)},
+}
 
 Make = Callable[[], Any]
 End = AiCommand | Callable[[Any], Any] | None  # another cycle that says this, or what is done
@@ -620,6 +651,19 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("reactions", "ESTOP_REQUEST for what is implausible").of(
         lambda: odd(exact(), 29).cycle(RUNNING), then.cycle(STOPPING, 29).cycle(BRAKING), then.cycle(STOPPING, 30)
     ),
+    Case("reactions", "a stop for speeds that the counts contradict").of(
+        Fed, lambda s: contradicted(s, 15), lambda s: contradicted(s, 40)
+    ),
+    *(
+        Case("reactions", f"ESTOP_REQUEST for {what} that is certainly odd").of(
+            surely_odd(33, **measured), then.cycle(STOPPING, 30).cycle(BRAKING), then.cycle(STOPPING, 31)
+        )
+        for what, measured in ODD.items()
+    ),
+    *(
+        Case("output table", f"a stop for {what} that is odd").of(surely_odd(33, **measured), STOPPING, PLANNED)
+        for what, measured in ODD.items()
+    ),
     Case("modes", "autonomous for as long as nothing ends it").of(
         exact, SELECTED, then.has(mode="manual").cycle(SELECTED)
     ),
@@ -681,7 +725,7 @@ def test_the_rule_is_kept_and_broken(rule: str, what: str, start: Make, keeps: E
 
 
 @pytest.mark.parametrize(
-    ("cycles", "data_ms", "broken"), [(30, 600, []), (31, 600, ["output table", "modes"]), (31, 499, [])]
+    ("cycles", "data_ms", "broken"), [(30, 600, []), (31, 600, ["modes", "output table"]), (31, 499, [])]
 )
 def test_commands_on_old_data_are_lost_after_300_ms(cycles: int, data_ms: int, broken: list[str]) -> None:
     sender = Fed().driving().cycle(drive(), 3).has(data_ms=data_ms)

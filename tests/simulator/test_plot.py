@@ -13,7 +13,7 @@ from fsai_hil.simulator.animation import FRAMES_PER_S, Views, animate, why_not
 from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.plot import picture
-from fsai_hil.simulator.world import PathSample, Run, World, WorldSetup
+from fsai_hil.simulator.world import MissionRun, PathSample, World, WorldSetup
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.lights import LIGHTS
@@ -25,7 +25,7 @@ DRIVING = AsState.AS_DRIVING
 
 
 @pytest.fixture
-def run() -> Run:
+def run() -> MissionRun:
     """Down the acceleration's lane for 2 s, out of it over the cone at (20, 1.5), and back."""
     run = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False)).run
     for index, t_s in enumerate(np.arange(0.0, 2.001, 0.05).tolist()):
@@ -38,7 +38,7 @@ def run() -> Run:
     return run
 
 
-def test_the_picture_marks_hits_departures_laps_and_states(run: Run) -> None:
+def test_the_picture_marks_hits_departures_laps_and_states(run: MissionRun) -> None:
     figure = picture(run)
     plan, speed, steering, pedals, *_ = figure.axes
     marks = {str(each.get_label()): len(each.get_offsets()) for each in plan.collections if hasattr(each, "get_sizes")}
@@ -55,7 +55,7 @@ def test_the_picture_marks_hits_departures_laps_and_states(run: Run) -> None:
     assert set(outline) == {2.0}
 
 
-def test_a_long_title_is_broken_and_not_cut(run: Run) -> None:
+def test_a_long_title_is_broken_and_not_cut(run: MissionRun) -> None:
     run.judge._reasons += ["did not do what was asked of it here"] * 9
     figure = picture(run)
     figure.draw_without_rendering()
@@ -65,7 +65,7 @@ def test_a_long_title_is_broken_and_not_cut(run: Run) -> None:
     assert box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
 
 
-def test_a_gif_has_a_frame_for_each_of_its_instants(run: Run, tmp_path: Path) -> None:
+def test_a_gif_has_a_frame_for_each_of_its_instants(run: MissionRun, tmp_path: Path) -> None:
     from PIL import Image
 
     path = tmp_path / "run.gif"
@@ -76,7 +76,7 @@ def test_a_gif_has_a_frame_for_each_of_its_instants(run: Run, tmp_path: Path) ->
 
 
 def test_a_long_gif_is_sped_up_and_says_so(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: MissionRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(animation, "GIF_FRAMES", 5)
     assert animate("drive", tmp_path / "run.gif", run, [], 1.0) == 6

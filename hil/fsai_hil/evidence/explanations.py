@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case
 from fsai_hil.evidence.campaign.catalogue import ROWS
-from fsai_hil.evidence.campaign.demands import End
+from fsai_hil.evidence.campaign.endings import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
 from fsai_hil.evidence.edited_logs import EDITS, Edit, Told, told_at
 from fsai_hil.evidence.work import digest, followed, spread

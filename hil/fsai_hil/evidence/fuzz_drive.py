@@ -13,8 +13,9 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.watched import Setting, WatchedBridge
+from fsai_hil.evidence.watched import Setting
 from fsai_hil.rules.numbers import CYCLE_NS, MS
+from fsai_hil.simulator.watched_bridge import WatchedBridge
 from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -204,7 +205,6 @@ class Drive:
     def receive(self, frame: Frame) -> None:
         if self.loop.has_bus and not self.bridge.stopped:
             self.loop.on_frames((frame,), frame.t_ns)
-            self.checker.received(frame)
 
     def tell(self, message: Message) -> None:
         if not self.bridge.stopped:
@@ -214,8 +214,6 @@ class Drive:
         """Do what the loop does between two frames, where it is not late."""
         if not self.bridge.stopped and self.now_ns >= self.loop.due_ns() + self.late_ns:
             self.loop.awake(self.now_ns)
-            if self.loop.has_bus:
-                self.checker.before_cycle(self.now_ns)
             self.act(self.loop.act(self.now_ns))
 
     def act(self, actions: Sequence[Action]) -> None:
@@ -237,10 +235,8 @@ class Drive:
             image = self.checker.sent(Frame(frame.can_id, frame.data, self.now_ns))
             if type(image) in self.asked:
                 self.asked[type(image)] = image
-        self.checker.cycle_over(self.now_ns, bool(frames))
         self.act(self.loop.sent(taken == frames, self.now_ns if frames else None, self.now_ns))
         if self.loop.has_bus:
-            self.checker.on_mode_shown(self.bridge.state.supervisor.mode.value)
             self.reached |= {self.bridge.state.decision.phase.name, *(one.slug for one in self.bridge.tally.active)}
 
 

@@ -38,7 +38,7 @@ STOPPED: Final = "stopped"  # a result: in its lane, with a sensor that does not
 GOOD: Final = ("pass", STOPPED)
 
 
-class Condition(Value, frozen=True):
+class Sensing(Value, frozen=True):
     """A condition of the cone sensor: its noise, losses and mistakes."""
 
     what: str
@@ -47,13 +47,13 @@ class Condition(Value, frozen=True):
     drawn: bool = False  # the sensor is another one with each seed; a car that stops in its lane has not failed
 
 
-CONDITIONS: Final[Mapping[str, Condition]] = {
-    "nominal": Condition("the simulated sensor as it is"),
-    "noise": Condition("0.1 m of noise, near and far", SensorSettings(noise_m=0.1, noise_per_m=0.0)),
-    "missing": Condition("10 % of the cones missing in each look, near and far", SensorSettings(miss_near=0.1)),
-    "colourless": Condition("no colours: all cones UNKNOWN", SensorSettings(colours=False)),
-    "clutter": Condition("a false cone in each look, and no threshold", SensorSettings(false_per_scan=1.0), 0.0),
-    "hard": Condition(
+CONDITIONS: Final[Mapping[str, Sensing]] = {
+    "nominal": Sensing("the simulated sensor as it is"),
+    "noise": Sensing("0.1 m of noise, near and far", SensorSettings(noise_m=0.1, noise_per_m=0.0)),
+    "missing": Sensing("10 % of the cones missing in each look, near and far", SensorSettings(miss_near=0.1)),
+    "colourless": Sensing("no colours: all cones UNKNOWN", SensorSettings(colours=False)),
+    "clutter": Sensing("a false cone in each look, and no threshold", SensorSettings(false_per_scan=1.0), 0.0),
+    "hard": Sensing(
         "by the seed, range 6 to 15 m, view 60 to 180 deg, 0 to 4 false cones a look as sure as true ones, colours or"
         " none, 2 s without cones or not, a jump of the pose by 0.5 m or none: the mission is driven, or the car stops"
         " in its lane; one that leaves the lane fails, and its drive ends there",
@@ -62,7 +62,7 @@ CONDITIONS: Final[Mapping[str, Condition]] = {
 }
 
 
-class Case(Value, frozen=True):
+class MissionCase(Value, frozen=True):
     """One run."""
 
     mission: str
@@ -81,23 +81,23 @@ class Case(Value, frozen=True):
 
 def cases(
     missions: Iterable[str], conditions: Sequence[str], seeds: Sequence[int], tracks: Sequence[str] | None
-) -> Iterator[Case]:
+) -> Iterator[MissionCase]:
     """Every run asked for. `tracks`: only these; None: the built-in ones. Raises ValueError, OSError."""
     asked = [mission_named(name) for name in missions]
     for mission in asked:
         own = MISSION_TRACK.get(mission)
         if own is None:  # without cones nothing in a run is random
-            yield Case(mission.name.lower(), "static", "nominal", 0)
+            yield MissionCase(mission.name.lower(), "static", "nominal", 0)
             continue
         chosen = tracks if tracks is not None else (own, *(AUTOCROSS_TOO if mission is Ami.AUTOCROSS else ()))
         for track in chosen:
             again = mission is Ami.TRACKDRIVE and track != own and Ami.AUTOCROSS in asked
             if again or check_track(load_track(track.replace("SEED", "1")), mission) is not None:
                 continue
-            yield from (Case(mission.name.lower(), track, which, seed) for which in conditions for seed in seeds)
+            yield from (MissionCase(mission.name.lower(), track, which, seed) for which in conditions for seed in seeds)
 
 
-def driven(case: Case) -> dict[str, Any]:
+def driven(case: MissionCase) -> dict[str, Any]:
     """The line of the record of one run."""
     track, condition = load_track(case.track.replace("SEED", str(case.seed))), CONDITIONS[case.condition]
     mission = mission_named(case.mission)
@@ -111,12 +111,12 @@ def driven(case: Case) -> dict[str, Any]:
     return _line(case, result, Ending.DRIVEN if result.passed else Ending.NEITHER)
 
 
-def _line(case: Case, result: LockstepResult, ending: Ending) -> dict[str, Any]:
+def _line(case: MissionCase, result: LockstepResult, ending: Ending) -> dict[str, Any]:
     """Return the line of the record of a run that ended so."""
     found, verdict = result.as_dict(), result.verdict
     kept = ("result", "reasons", "cones_hit", "off_course", "faults", "gate_reasons", "emergency", "sim_time_s")
     times = verdict.lap_times_s or (verdict.driving_time_s,)
-    case = Case(*case.row, case.seed)  # where a track's file lies is of no interest
+    case = MissionCase(*case.row, case.seed)  # where a track's file lies is of no interest
     line = {**asdict(case), **{key: found[key] for key in kept}, "times_s": [round(time, 3) for time in times]}
     if ending is Ending.STOPPED:
         line |= {"result": STOPPED, "reasons": []}
@@ -128,8 +128,8 @@ def _line(case: Case, result: LockstepResult, ending: Ending) -> dict[str, Any]:
 # ---------------------------------------------------------------- the record and the table
 
 
-def _case(run: Mapping[str, Any]) -> Case:
-    return Case(run["mission"], run["track"], run["condition"], run["seed"])
+def _case(run: Mapping[str, Any]) -> MissionCase:
+    return MissionCase(run["mission"], run["track"], run["condition"], run["seed"])
 
 
 def _failed(run: Mapping[str, Any]) -> str:
@@ -249,13 +249,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
 
 
-def _drive(asked: Sequence[Case], args: argparse.Namespace) -> int:
+def _drive(asked: Sequence[MissionCase], args: argparse.Namespace) -> int:
     """Do the runs that the record lacks, and print or write the table of all; return the exit status."""
     with Record(args.record, {"missions": digest()}) as record:
         if record.kept_as:
             print(f"{record.path} was of other sources, and is now {record.kept_as}", file=sys.stderr)
         runs = {_case(run): run for run in record.results}
-        missing = [case for case in asked if Case(*case.row, case.seed) not in runs]
+        missing = [case for case in asked if MissionCase(*case.row, case.seed) not in runs]
         results = spread(driven, missing, args.jobs)
         deque(followed(results, "runs", len(missing), _failed, "failed", record=record, to=sys.stderr), 0)
         runs = {_case(run): run for run in record.results}
@@ -264,7 +264,7 @@ def _drive(asked: Sequence[Case], args: argparse.Namespace) -> int:
         args.output.write_text(text, encoding="utf-8")
     else:
         print(text, end="")
-    return 1 if any(runs[Case(*case.row, case.seed)]["result"] not in GOOD for case in asked) else 0
+    return 1 if any(runs[MissionCase(*case.row, case.seed)]["result"] not in GOOD for case in asked) else 0
 
 
 if __name__ == "__main__":

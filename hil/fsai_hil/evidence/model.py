@@ -266,14 +266,10 @@ class Composition:
             run_id = b.state.supervisor.run_id + sent.run_id
             b.on_command(replace(sent, t_sensor_ns=now + sent.t_sensor_ns, run_id=run_id), now)
         asked = b.cycle(now)
-        checker.before_cycle(now)
-        checker.on_mode_shown(b.state.supervisor.mode.value)
         if asked is not None:
             encoded = self._encode(asked)
             problems = encoded.problems
             self._sent(choice, asked, encoded, now)
-        checks = b.state
-        checker.on_implausible(checks.steering.implausible_since_ns, checks.wheels.implausible_since_ns)
         problems += checker.taken()
         if problems and self._only_rule:
             problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
@@ -369,7 +365,6 @@ class Composition:
         checker.on_sending()
         for can_id, image in encoded.images[: choice.frames]:
             checker.on_ai(can_id, image, now)
-        checker.cycle_over(now)
         v = self._vcu
         if choice.frames == 5 and not choice.car_off and _asks_of(v) == encoded.asks:  # nothing new to look at
             echo_ns = None if asked.handshake == v.bit else v.echo_ns

@@ -1,4 +1,4 @@
-"""The bridge as it is searched and fuzzed: the checker of the rules beside it is told what happens to it."""
+"""The bridge as it is searched: its frames have an image and no bytes, and the search chooses what its checks say."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from msgspec import field
 from fsai_hil.evidence.abstraction import FITTING
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS
-from fsai_hil.rules.seen import Process
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
+from fsai_hil.simulator.watched_bridge import WatchedBridge, process_of
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
-from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.reasons import Reason
@@ -57,62 +56,8 @@ class Setting(Value, frozen=True):
             from_start=True,
             motor_brakes=config.motor_brakes,
             short_sequence=config.short_sequence_allowed,
-            process=Process(
-                listen_only=config.listen_only,
-                autonomous_at_power_up=config.autonomous_at_power_up,
-                service_brake_pct=config.stop_brake_pct,
-                stop_cycles=config.stop_cycles,
-                **process,
-            ),
+            process=process_of(config, **process),
         )
-
-
-class WatchedBridge(Bridge):
-    """The bridge: what is asked of it and happens to it, and how it answers, its checker is told."""
-
-    checker: WireChecker
-
-    def on_command(self, command: VehicleCommand, now_ns: int) -> tuple[str, ...]:
-        current = command.run_id == self.state.supervisor.run_id
-        problems = super().on_command(command, now_ns)
-        self.checker.on_command(command, bool(problems), now_ns, current=current)
-        return problems
-
-    def on_reset_confirmed(self, role: str, run_id: int) -> None:
-        super().on_reset_confirmed(role, run_id)
-        if run_id == self.state.supervisor.run_id:
-            self.checker.on_confirmed(role)
-
-    def set_mode(self, mode: str, now_ns: int) -> tuple[bool, str]:
-        answer = super().set_mode(mode, now_ns)
-        self.checker.on_mode(mode, answer, now_ns)
-        return answer
-
-    def emergency_brake(self, why: str, now_ns: int) -> tuple[bool, str]:
-        answer = super().emergency_brake(why, now_ns)
-        self.checker.on_emergency(answer[0])
-        return answer
-
-    def reset(self, now_ns: int) -> tuple[bool, str]:
-        answer = super().reset(now_ns)
-        self.checker.on_reset(answer[0], now_ns)
-        return answer
-
-    def bus_lost(self, why: str, now_ns: int) -> None:
-        super().bus_lost(why, now_ns)
-        self.checker.on_bus_lost(now_ns)
-
-    def bus_back(self, now_ns: int) -> None:
-        super().bus_back(now_ns)
-        self.checker.on_bus_back(now_ns)
-
-    def loop_fault(self, why: str, now_ns: int) -> None:
-        super().loop_fault(why, now_ns)
-        self.checker.on_loop_fault()
-
-    def begin_stop(self, now_ns: int) -> None:
-        super().begin_stop(now_ns)
-        self.checker.on_end()
 
 
 class NoTally(Tally):
@@ -137,6 +82,10 @@ class SearchedBridge(WatchedBridge):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.tally = NoTally()
+
+    def on_frame(self, frame: Frame) -> None:
+        """Take in a frame that has an image and no bytes; the checker is given it decoded."""
+        Bridge.on_frame(self, frame)
 
     def _on_revision(self, frame: Frame) -> None:
         """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""

@@ -1,7 +1,7 @@
-"""An observer's knowledge of the car and the AI computer, and what is due by it.
+"""An observer's knowledge of the car and the AI computer.
 
 A `BusView` is given, in the order of time, what the car sends and what happens to the process that answers it.
-The rules in `frame_rules.py` look at it, `checker.py` feeds it.
+`reactions.py` says what is due by it, the rules in `frame_rules.py` look at it, `checker.py` feeds it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from fsai_hil.rules import numbers as n
-from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.numbers import MS
+from fsai_hil.rules.plausible import Plausibility
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation, marks_of
 from fsai_hil.rules.wheels import Belief, Wheels
@@ -38,6 +39,7 @@ from fsai_vcu.interface.reserved import AI_IDS
 ROLES: Final = frozenset(("planner", "controller"))
 OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
+IN_THE_AIR: Final = (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)  # each wheel turns for itself
 _OFF_SEEN, _READY_SEEN, WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
 _LOOKED_AT: Final = VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts
 HEEDED_IDS: Final = frozenset((*AI_IDS, *(BY_NAME[kind.dbc_name].can_id for kind in _LOOKED_AT)))
@@ -49,7 +51,7 @@ _KEPT: Final = 1000  # violations kept as text; all are counted
 
 
 @dataclass(slots=True)
-class Cycle:
+class SeenCycle:
     """The frames of one cycle as they came."""
 
     ids: list[int] = field(default_factory=list)
@@ -89,6 +91,7 @@ class BusView:
         self.from_start = from_start
         self.motor_brakes = motor_brakes
         self.short_sequence = short_sequence
+        self._car = car
         self._pulses_per_rev = max(one.wheel_pulses_per_rev for one in ((car,) if car else CARS.values()))
         self.driven = (True, True) if car is None else (car.driven_front, car.driven_rear)
         self.steer_rate_degps = math.inf if car is None else math.degrees(car.steer_rate_radps)
@@ -107,6 +110,7 @@ class BusView:
         self.start_ns: int | None = None
         self.now_ns = 0
         self.as_states: list[tuple[int, AsState]] = []
+        self.certain_ns: list[int] = []  # when steering or a wheel began to be certainly implausible
         self.cycles = 0
         self.incomplete = 0
         # of what is judged
@@ -125,12 +129,14 @@ class BusView:
         known = self.from_start  # what a log does not show is taken in favour of the sender
         self.seen = Seen(restarted=known, acknowledged=not known, torque_may_be_there=known, torque_runs=not known)
         self.wheels = Wheels(self._pulses_per_rev, self.in_flight_ns, self.slack_ns)
+        follows = self._car is not None and self.process is not None and self.process.follows
+        self._plausibility = Plausibility(self._car) if follows and self._car is not None else None
         self._late: dict[str, deque[tuple[int, Any]]] = {}
         self.toggle: tuple[int, bool] | None = None
         self._ai_silent = False
         self.was_off = False  # AS_INIT or AS_OFF was the state at some time since the last 0x510
         self.ai = AiStatus()
-        self.cycle = Cycle()
+        self.cycle = SeenCycle()
         self.cycle_ns: int | None = None
         self.interval_ns: int | None = None
         self._zero_echo_ns: int | None = None
@@ -138,7 +144,6 @@ class BusView:
         # of the cycle in hand
         self.order: Order | None = None  # the command that may be obeyed
         self.over = False  # the stop was latched in an earlier cycle
-        self._may_turn_manual = self._must_turn_manual = False
         # only where stops may be hidden
         self.whole_in_a_row = 0
 
@@ -220,6 +225,8 @@ class BusView:
         elif isinstance(image, VcuSteer):
             s.angle_max_deg, s.steer_ns = max(0.0, image.angle_max_deg), t_ns
             self._note("angle", t_ns, s.angle_max_deg)
+            if self._plausibility is not None:
+                self._plausibility.on_angle(image.angle_deg, t_ns, judges=s.as_state is AsState.AS_DRIVING)
         elif isinstance(image, VcuBrake):
             zero = image.front_request_pct == image.rear_request_pct == 0.0
             s.echoed = (zero or (s.echoed and self.in_flight_ns > 0)) and s.zeros > 0
@@ -227,6 +234,9 @@ class BusView:
         elif isinstance(image, WheelSpeeds):
             if self.wheels.on_speeds(image.all_rpm, t_ns) is not Belief.NO:
                 self._note("rpm", t_ns, image.all_rpm)
+                launched = s.driving_ns is not None and t_ns - s.driving_ns >= n.LAUNCH_NS
+                if self._plausibility is not None and launched and s.mission not in IN_THE_AIR:
+                    self._plausibility.on_speeds(image.all_rpm, t_ns)
         elif isinstance(image, WheelCounts):
             self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), t_ns)
 
@@ -350,6 +360,8 @@ class BusView:
         drives = AI_IDS[1] in cycle.ids and AI_IDS[2] in cycle.ids
         if cycle.ids and not complete:
             self.incomplete += 1
+        if cycle.ids and self._plausibility is not None:
+            self._plausibility.on_cycle(torque=cycle.torque, brake=cycle.brake, t_ns=self.cycle_ns or now_ns)
         if complete:
             s.acknowledged = s.acknowledged or cycle.selected
             if not cycle.torque:
@@ -368,7 +380,7 @@ class BusView:
             elif now_ns - s.complete_ns >= n.SEND_LOST_NS and s.as_state is AsState.AS_DRIVING:
                 self._lose("no cycle went out whole for 50 ms")
                 s.complete_ns = now_ns
-        self.cycle = Cycle()
+        self.cycle = SeenCycle()
 
     # ------------------------------------------------------------ what happens to the process
 
@@ -452,10 +464,6 @@ class BusView:
     def on_loop_fault(self) -> None:
         self._alarm("the loop missed its deadline")
 
-    def on_implausible(self, steering_ns: int | None, wheel_ns: int | None) -> None:
-        """Since when the process takes steering and wheels for implausible, where nothing is hidden."""
-        self.seen.steer_odd_ns, self.seen.wheel_odd_ns = steering_ns, wheel_ns
-
     def on_bus_lost(self, now_ns: int | None = None) -> None:
         """The sender has lost the bus: whatever follows, its drive needs the whole way again."""
         s = self.seen
@@ -503,146 +511,6 @@ class BusView:
     def _alarm(self, why: str) -> None:
         if self.seen.as_state is AsState.AS_DRIVING:
             self.seen.alarm = self.seen.alarm or why
-
-    # ------------------------------------------------------------ what is due
-
-    def before_cycle(self, now_ns: int) -> None:
-        """The process decides what to send: what is due by now is due in these frames."""
-        s, process = self.seen, self.process
-        assert process is not None
-        self.now_ns = now_ns
-        self._may_turn_manual = self._must_turn_manual = False
-        self.order = None
-        waits = s.reopening and s.back_ns is not None and now_ns - s.back_ns < n.STATUS_LOST_NS
-        if s.bus_gone or waits or (s.ended is not None and s.ended >= process.stop_cycles):
-            return
-        if s.began_ns is None:
-            s.began_ns = now_ns
-        self.over = s.stopped is not None
-        age_ns = None if s.command_ns is None else now_ns - s.command_ns
-        self.order = s.order if age_ns is not None and age_ns < n.COMMAND_FRESH_NS else None
-        if s.as_state is AsState.AS_DRIVING and s.driving_ns is not None:
-            self._look_at_the_run(age_ns, now_ns)
-        elif (
-            process.autonomous_at_power_up
-            and not process.listen_only
-            and s.power_up
-            and s.as_state in OFF
-            and self.wheels.may_stand(now_ns)
-        ):
-            s.autonomous, s.power_up = True, False
-
-    def _look_at_the_run(self, age_ns: int | None, now_ns: int) -> None:
-        """Find what stops a run in AS_DRIVING by now, and what asks for the emergency brake (graded reactions)."""
-        s, process = self.seen, self.process
-        assert process is not None and s.driving_ns is not None
-        for why, holds in (
-            ("AS_OFF, AS_READY and AS_DRIVING were not seen in turn", s.path != WHOLE),
-            ("AS_READY did not last 5 s before Go", not s.waited and not self.short_sequence),
-            ("no mission was acknowledged", s.mission is Ami.NOT_SELECTED or not s.acknowledged),
-            ("not both resets are confirmed", len(s.confirmed) < len(ROLES)),
-            ("Go is off", not s.go),
-            ("FAULT_STATUS is 1", s.fault),
-            ("the software was stopped", s.ended is not None),
-        ):
-            if holds:
-                self._stop(why)
-        if self._missing_ns(s.status_ns) >= n.STATUS_LOST_NS:
-            self._alarm("0x520 is lost for 100 ms")
-        if s.ended is not None and not self.wheels.may_stand(now_ns):
-            self._alarm("the software ends, and the car is not known to stand")
-        supervised_ns = now_ns - s.driving_ns - n.LAUNCH_NS
-        lost = False
-        if supervised_ns >= 0:
-            lost = s.autonomous and self._without_command_ns(supervised_ns, age_ns) >= n.COMMAND_LOST_NS
-            self._look_at_feedback(now_ns)
-            runs = not self.over and not s.latched
-            if not self.nothing_hidden:  # no stop or emergency has begun for another reason: there would be a brake
-                unbraked = self.whole_in_a_row > 2 and s.braked_pct == 0.0 and not self.motor_brakes
-                runs = unbraked and s.stopped is None and not s.latched and s.alarm is None
-            self._must_turn_manual = lost and runs
-            if lost:
-                self._stop("no valid command for 300 ms")
-            self._look_at_wishes(s.driving_ns + n.LAUNCH_NS, now_ns)
-        self._may_turn_manual = lost or s.latched  # once an emergency is latched nobody asks what becomes of commands
-        if not s.autonomous:
-            self._stop("the mode is manual")
-        if not self.nothing_hidden and s.stopped is not None:
-            wheels = self.wheels
-            slow = (
-                wheels.rpm is not None
-                and (max(wheels.rpm) < n.STILL_RPM or wheels.open)
-                and wheels.may_count_ns is not None
-                and now_ns - wheels.may_count_ns < n.FEEDBACK_STALE_NS
-            )
-            # A stop began no later than it is known here, but what began it may have been seen a cycle before.
-            if now_ns - s.stopped_ns >= process.stop_timeout_ns + 100 * MS and not slow:
-                self._alarm("the car still moves long after the stop began")
-
-    def _without_command_ns(self, supervised_ns: int, age_ns: int | None) -> int:
-        """For how long no cycle has had a fresh command: one on old data ends nothing."""
-        s = self.seen
-        without_ns = supervised_ns if age_ns is None else min(supervised_ns, age_ns)
-        if without_ns < n.COMMAND_FRESH_NS:
-            s.stale_ns = None
-        elif s.stale_ns is None:
-            s.stale_ns = self.now_ns
-        return without_ns if s.stale_ns is None else max(without_ns, self.now_ns - s.stale_ns)
-
-    def _missing_ns(self, t_ns: int | None) -> int:
-        """For how long something has not been received that could have been."""
-        if t_ns is None:
-            return S
-        return self.now_ns - (t_ns if self.seen.back_ns is None else max(t_ns, self.seen.back_ns))
-
-    def _look_at_feedback(self, now_ns: int) -> None:
-        """Wheel speeds and steering feedback that are stale, missing or implausible."""
-        s = self.seen
-        for name, t_ns in (("wheel speeds", self.wheels.may_count_ns), ("steering feedback", s.steer_ns)):
-            if self._missing_ns(t_ns) >= n.FEEDBACK_STALE_NS:
-                self._stop(f"{name} missing for 100 ms")
-            if self._missing_ns(t_ns) >= n.FEEDBACK_LOST_NS:
-                self._alarm(f"{name} missing for 300 ms")
-        for name, t_ns in (("the steering", s.steer_odd_ns), ("a wheel", s.wheel_odd_ns)):
-            if t_ns is not None and now_ns - t_ns >= n.ODD_NS:
-                self._stop(f"{name} implausible for 300 ms")
-            if t_ns is not None and now_ns - t_ns >= n.ODD_LOST_NS:
-                self._alarm(f"{name} implausible for 600 ms")
-
-    def _look_at_wishes(self, launched_ns: int, now_ns: int) -> None:
-        """Find what the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
-        s, order = self.seen, self.order
-        both = order is not None and order.throttle > 0.0 and order.brake > 0.0
-        if both and order is not None and not self.nothing_hidden:
-            # The planner still brakes, not a stop for a reason that cannot be seen here.
-            follows = s.braked_pct == 0.0 or abs(s.braked_pct - 100.0 * order.brake) <= BRAKE_STEP_PCT / 2
-            both = follows and s.stopped is None and not self.motor_brakes
-        if not both or s.command_ns is None:
-            s.pedals_ns = None  # for as long as no command counts, none asks for both
-        elif s.pedals_ns is None:
-            s.pedals_ns = max(s.command_ns, launched_ns) if self.nothing_hidden else now_ns
-        listens = not self.over if self.nothing_hidden else s.stopped is None
-        if order is not None and s.autonomous and listens and not s.latched:
-            if s.pedals_ns is not None and now_ns - s.pedals_ns >= n.PEDALS_NS:
-                self._alarm("throttle and brake together for 100 ms")
-            if order.estop:
-                self._alarm("the mission asks for the emergency brake")
-            if order.finished:
-                self._stop("mission complete: braking to a stop")
-
-    def on_mode_shown(self, mode: str) -> None:
-        """Take what the process reports of its mode once it has decided what to send."""
-        s = self.seen
-        if mode == "autonomous":
-            if s.autonomous and self._must_turn_manual:
-                self.wrong("modes", "the mode is autonomous after 300 ms without a command")
-            elif not s.autonomous:
-                self.wrong("modes", f"the mode is autonomous in {self.where}, and nobody chose that")
-        elif s.autonomous and not self._may_turn_manual and self.nothing_hidden:
-            self.wrong("modes", "the mode has become manual, and nothing asked for that")
-        if self._must_turn_manual or (mode != "autonomous" and (self._may_turn_manual or not self.nothing_hidden)):
-            s.autonomous = False
-            self._stop("the mode is manual")
 
     # ------------------------------------------------------------ what several rules look at
 

@@ -5,7 +5,7 @@ their decoded images. That is enough for a log. Who drives the process itself al
 (commands, modes, confirmations, lost buses) by a `Process`; what can be known only so is checked only then. And where
 nothing is hidden that can stop a drive (`nothing_hidden`), each output has exactly one right value, and is held to it.
 
-`bus_view.py` is what is known and what is due, `frame_rules.py` the rules, `numbers.py` their numbers.
+`bus_view.py` is what is known, `reactions.py` what is due, `frame_rules.py` the rules, `numbers.py` their numbers.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsai_hil.rules import numbers as n
-from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS, BusView
+from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS
 from fsai_hil.rules.frame_rules import CHECKS, RULES
 from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.reactions import Reactions
 from fsai_hil.rules.seen import Violation
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.interface.bus_table import BY_ID
@@ -37,7 +38,7 @@ AXLES: Final = (AiDriveFront, AiDriveRear)
 _DIGITS: Final = re.compile(r"[\d.,]+")
 
 
-class WireChecker(BusView):
+class WireChecker(Reactions):
     """Feed it with `on_frame`; read what was found at any time: `ok` means that no rule was seen broken. Times are ns.
 
     `handshake_in_flight_ns` is how young a 0x520 may be and not yet be echoed; `clock_slack_ns` covers the difference
@@ -48,9 +49,9 @@ class WireChecker(BusView):
     what was before the log is not judged. `motor_brakes`: the car on which torque against a motor speed limit of zero
     is the brake, which rule 2 does not mean. `short_sequence`: the car whose VCU does not keep to the 5 s in AS_READY.
 
-    With a `process` the caller passes on what the process is given, by the methods `on_…` and round each cycle by
-    `before_cycle`, `on_mode_shown` and `cycle_over`. An intruder on the AI computer's own ids cannot be told apart on
-    a log; who knows it keeps its frames from `on_frame`, or uses `received` and `sent`.
+    With a `process` the caller passes on what the process is given and asked, by the methods `on_…`, and when a cycle
+    is over (`simulator.watched_bridge` does). An intruder on the AI computer's own ids cannot be told apart on a log; a
+    caller who knows it keeps its frames from `on_frame`, or uses `received` and `sent`.
     """
 
     # ------------------------------------------------------------ what was found
@@ -196,6 +197,8 @@ class WireChecker(BusView):
         elif isinstance(image, AiSteer):
             self._judge("0x513", image, can_id)
             s.steer_deg, s.steered_ns = image.steer_deg, t_ns
+            if self._plausibility is not None:
+                self._plausibility.on_steer_request(image.steer_deg, t_ns)
         elif isinstance(image, AiBrake):
             s.brake_pct = image.front_pct, image.rear_pct
             self._judge("0x514", image, can_id)
@@ -222,14 +225,18 @@ class WireChecker(BusView):
 
     # ------------------------------------------------------------ the process
 
-    def received(self, frame: Frame) -> None:
-        """A frame that reached the process, of any sender."""
-        if frame.error:
-            return
-        if frame.can_id in AI_IDS and not frame.extended:
+    def received(self, frames: Iterable[Frame]) -> None:
+        """Frames that reached the process, of any sender, in the order of time."""
+        self.on_frames(filter(self._of_the_car, frames))
+
+    def _of_the_car(self, frame: Frame) -> bool:
+        """Return whether the process believes that the car sent it; an intruder's frame is noted."""
+        if frame.error or frame.extended:
+            return False
+        if frame.can_id in AI_IDS:
             self.on_intruder(f"0x{frame.can_id:03X} of somebody else was received")
-        elif not frame.extended and not frame.remote and self.codec.knows(frame.can_id):
-            self.on_frame(frame)
+            return False
+        return not frame.remote and self.codec.knows(frame.can_id)
 
     def sent(self, frame: Frame) -> AiImage | None:
         """A frame of the process went out. Returns what it carries, None for what should never have been sent."""

@@ -53,6 +53,7 @@ FEEDBACK_STALE_NS: Final = 100 * MS
 FEEDBACK_LOST_NS: Final = 300 * MS
 ODD_NS: Final = 300 * MS
 ODD_LOST_NS: Final = 600 * MS
+CERTAINLY_NS: Final = 25 * MS  # so much later at most the supervisor finds odd what an observer is certain of
 PEDALS_NS: Final = 100 * MS
 SEND_LOST_NS: Final = 50 * MS  # so long without one complete cycle counts as bus loss
 STOP_TIMEOUT_NS: Final = 3 * S  # still moving so long after a stop began

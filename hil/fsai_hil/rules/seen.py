@@ -40,6 +40,8 @@ class Process(Value, frozen=True):
     """The process behind the frames, whose inputs are known: what the rules name of its configuration.
 
     `nothing_hidden`: what a plausibility check finds is known as well, so that every stop has its reason.
+    `follows`: steering and wheels of the car at the other end move as a car's do, so what is certainly implausible of
+    them must be reacted to.
     """
 
     listen_only: bool = False
@@ -48,6 +50,7 @@ class Process(Value, frozen=True):
     stop_cycles: int = n.STOP_CYCLES
     stop_timeout_ns: int = n.STOP_TIMEOUT_NS
     nothing_hidden: bool = False
+    follows: bool = False
 
 
 class Seen(Struct):

@@ -14,6 +14,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
+from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
@@ -49,6 +50,7 @@ class OnboardComputer:
         self._next_control_ns = now_ns
         self._run_ids: dict[str, int] = {}  # of the run that a process has begun
         self._history = MotionHistory()
+        self.checker: WireChecker | None = None  # is told what leaves
 
         # Fault injection sits between the parts, where a real wire or topic would be.
         self.command_filter: Callable[[VehicleCommand, int], VehicleCommand | None] | None = None
@@ -72,6 +74,9 @@ class OnboardComputer:
         if self.takes_frame is not None and not self.takes_frame(frame):
             return False
         self._out.append(frame)
+        if self.checker is not None:
+            self.checker.on_sending()
+            self.checker.on_frames((frame,))
         return True
 
     def on_frames(self, frames: Sequence[Frame]) -> None:

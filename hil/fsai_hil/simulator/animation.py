@@ -20,7 +20,7 @@ import numpy as np
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.plot import bounds, car_outline, draw_track
-from fsai_hil.simulator.world import PathSample, Run
+from fsai_hil.simulator.world import MissionRun, PathSample
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.interface.enums import AsState
@@ -98,7 +98,7 @@ def _ffmpeg() -> str | None:
     return str(get_ffmpeg_exe())
 
 
-def animate(program: str, path: Path, run: Run, views: list[View], times_real: float = 2.0) -> int:
+def animate(program: str, path: Path, run: MissionRun, views: list[View], times_real: float = 2.0) -> int:
     """Save the film, `times_real` times as fast as it was driven; returns the number of frames.
 
     It begins with AS_DRIVING. A long one is sped up where it is a GIF. Raises OSError where it cannot be written.
@@ -159,7 +159,7 @@ def _save_mp4(path: Path, frames: Iterator[Image], size: tuple[int, int]) -> Non
 class _Stage:
     """The figure of all frames: the whole track, and the car from near."""
 
-    def __init__(self, run: Run, views: list[View]) -> None:
+    def __init__(self, run: MissionRun, views: list[View]) -> None:
         """Draw what does not move, and keep the parts that do."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import PolyCollection

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.simulator.ai_computer import OnboardComputer
 from fsai_hil.simulator.judge import JudgeVerdict
+from fsai_hil.simulator.watched_bridge import WatchedBridge, process_of
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.control.controller import Controller
@@ -92,25 +93,27 @@ class Lockstep:
             settings = replace(settings, max_speed_mps=min(settings.max_speed_mps, limits.max_speed_mps))
         self.now_ns = setup.start_ns
         codec = self.world.codec
-        self._new_bridge = partial(Bridge, codec, self.world.vcu.revision, car, config, limits)
+        self._new_bridge = partial(WatchedBridge, codec, self.world.vcu.revision, car, config, limits)
         new_planner = partial(Planner, car, missions=missions)
         new_controller = partial(Controller, car, settings, missions)
         self._new = {"planner": new_planner, "controller": new_controller}
         self._first_run_id = 1
         bridge = self._new_bridge(self._first_run_id, now_ns=self.now_ns)
         self.computer = OnboardComputer(bridge, codec, new_planner(), new_controller(), self.now_ns)
-        # Nothing is in flight in lockstep: what the car has sent, the bridge has received before it sends.
+        # The checker stands in the loop's own place: it is told what the loop receives, is asked and sends.
         self.wire = WireChecker(
             codec,
-            in_flight_ns=STEP_NS,
-            handshake_in_flight_ns=STEP_NS,
+            in_flight_ns=0,
+            handshake_in_flight_ns=0,
             clock_slack_ns=0,
             car=car,
             limits=limits or UNLIMITED,
             from_start=True,
             motor_brakes=config.motor_brakes,
             short_sequence=config.short_sequence_allowed,
+            process=process_of(config, follows=True),
         )
+        self.computer.checker = bridge.checker = self.wire
         self.on_frame = on_frame
         self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames
         self._next_cones_ns = self.now_ns
@@ -127,8 +130,10 @@ class Lockstep:
         """The bridge's process is started again: it knows nothing, and is in manual mode."""
         # On the car a new process draws a first run id that no earlier one can have used.
         self._first_run_id += RUNS_OF_A_PROCESS
-        self.computer.start_bridge(self._new_bridge(self._first_run_id, now_ns=self.now_ns), self.now_ns)
         self.wire.restarted()
+        bridge = self._new_bridge(self._first_run_id, now_ns=self.now_ns)
+        bridge.checker = self.wire
+        self.computer.start_bridge(bridge, self.now_ns)
 
     def start(self, process: str) -> None:
         """The planner's or the controller's process is started again."""
@@ -161,7 +166,6 @@ class Lockstep:
                 self.world.on_frame(frame)
 
     def _see(self, frames: Iterable[Frame]) -> None:
-        self.wire.on_frames(frames)
         for see in (self.watch, self.on_frame):
             if see is not None:
                 for frame in frames:

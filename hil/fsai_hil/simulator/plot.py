@@ -15,7 +15,7 @@ import numpy as np
 from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.tracks import Track
-from fsai_hil.simulator.world import PathSample, Run
+from fsai_hil.simulator.world import MissionRun, PathSample
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
@@ -40,7 +40,7 @@ CONE_STYLE: Final = {
 }
 
 
-def plotted(program: str, path: Path, run: Run) -> bool:
+def plotted(program: str, path: Path, run: MissionRun) -> bool:
     """Save the picture of a run; where there can be none, print why and return False."""
     try:
         picture(run).savefig(path)
@@ -53,7 +53,7 @@ def plotted(program: str, path: Path, run: Run) -> bool:
     return True
 
 
-def picture(run: Run) -> Figure:
+def picture(run: MissionRun) -> Figure:
     """Raises ImportError without matplotlib."""
     from matplotlib.figure import Figure
 
@@ -84,7 +84,7 @@ def picture(run: Run) -> Figure:
     return figure
 
 
-def bounds(run: Run, margin_m: float = 3.0) -> tuple[Floats, Floats]:
+def bounds(run: MissionRun, margin_m: float = 3.0) -> tuple[Floats, Floats]:
     """Lower left and upper right corner of what there is to see, in the world; never without an extent."""
     seen = np.vstack([run.track.cones_xy_m, np.array([(s.x_m, s.y_m) for s in run.samples]).reshape(-1, 2), [[0, 0]]])
     seen = seen[:-1] if len(seen) > 1 else seen
@@ -124,7 +124,7 @@ def car_outline(pose: Pose, steer_deg: float) -> list[Floats]:
     return [np.array([box.ahead(a * long_m, b * wide_m) for a, b in corners]) for box, long_m, wide_m in boxes]
 
 
-def _draw_path(plan: Axes, run: Run) -> None:
+def _draw_path(plan: Axes, run: MissionRun) -> None:
     """The path in the colours of its speed; where cones were hit and where the car left the track."""
     from matplotlib.collections import LineCollection
 
@@ -148,7 +148,7 @@ def _draw_path(plan: Axes, run: Run) -> None:
         plan.scatter(*left.T, s=160, zorder=5, label=f"off course: {len(left)}", **ring)
 
 
-def _draw_over_time(speed: Axes, steering: Axes, pedals: Axes, run: Run) -> None:
+def _draw_over_time(speed: Axes, steering: Axes, pedals: Axes, run: MissionRun) -> None:
     """Draw speed, steering and pedals over time, asked for and given."""
     series = {name: np.array([getattr(s, name) for s in run.samples]) for name in PathSample.__struct_fields__}
     t_s, measured, wheels, limit = (series[name] for name in ("t_s", "speed_mps", "wheels_mps", "speed_limit_mps"))

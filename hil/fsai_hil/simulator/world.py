@@ -78,7 +78,7 @@ class PathSample(Value, frozen=True):
 
 
 @dataclass
-class Run:
+class MissionRun:
     """One mission of the sequence."""
 
     mission: Ami
@@ -123,7 +123,7 @@ class World:
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
         self.verdicts: list[JudgeVerdict] = []  # of the runs that are over
-        self.runs: list[Run] = []
+        self.runs: list[MissionRun] = []
         self._spoken_to = False
         # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
         self.actuator_faults: list[Callable[[Actuation, int], Actuation]] = []
@@ -207,7 +207,7 @@ class World:
         if over or (ami is not run.mission and ami is not Ami.NOT_SELECTED and not run.judge.done):
             self.run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
 
-    def _stage(self, mission: Ami) -> Run:
+    def _stage(self, mission: Ami) -> MissionRun:
         """Stage a mission: its track, judge and sensor, and the car at its place."""
         track = self._first_track
         again = bool(self.runs)
@@ -218,7 +218,7 @@ class World:
         judge = Judge(track, mission, facts, self.setup.laps, patience_s, self.now_ns, self.setup.start_ns)
         sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
         self.car.place(track.staging(mission, facts.nose_ahead_of_rear_axle_m), mission in STATIC_INSPECTIONS)
-        run = Run(mission, track, judge, sensor)
+        run = MissionRun(mission, track, judge, sensor)
         if again and self.runs[-1].judge.waiting:
             self.runs.pop()  # nobody drove it
         self.runs.append(run)

@@ -1,11 +1,11 @@
 """The fault campaign: every kind of fault at random moments of every mission, judged by what the safety rules demand.
 
-- `catalogue` lists the kinds of fault, one row each; `injections` does them to a run; `demands` says in the safety
-  rules' own terms what must follow.
+- `catalogue` lists the kinds of fault, one row each: `injections` does them to a run, `endings` names how it may end.
 - `cases` makes case N of seed S, from the two numbers alone.
-- `scenario` drives one case, `observation` writes down what was seen from outside, `verdict` judges it.
+- `scenario` drives one case, `observation` notes what was seen from outside, `verdict` holds the end against the row.
 - `runner` spreads cases over processes, or over a Dask cluster; `table` shows their results.
 - `explain` shows one run to a person.
 
-Nothing here looks into the bridge to judge it: what counts is what was on the bus and what the car really did.
+What happens on the way is judged by the checker of `rules/`, which lockstep feeds. Nothing looks into the bridge: what
+counts is what was asked of it, what was on the bus, and what the car really did.
 """

@@ -1,7 +1,7 @@
 """Every kind of fault, one row each: what it does, what is drawn by chance, where it applies, what must follow.
 
-The demand of a row is a function of what was drawn, because the safety rules grade their reactions by time. Durations
-lie in bands clear of those times: what happens exactly at a limit is for the exhaustive search, which knows no jitter.
+How a run must end depends on what was drawn, because the safety rules grade their reactions by time. Durations lie in
+bands clear of those times: what happens exactly at a limit is for the exhaustive search, which knows no jitter.
 """
 
 from __future__ import annotations
@@ -15,9 +15,24 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.campaign import demands as d
-from fsai_hil.evidence.campaign import injections as i
-from fsai_hil.evidence.campaign.demands import Computed, Demand, End, Graded, Must, Onset, Params, ends
+from fsai_hil.evidence.campaign import injections as inject
+from fsai_hil.evidence.campaign.endings import (
+    ANY,
+    CAR_STOPS,
+    IN_TIME_MS,
+    MAY_STOP_ITSELF,
+    NOTHING,
+    ODD,
+    PAUSE,
+    SLACK_MS,
+    STOP,
+    UNBELIEVED,
+    End,
+    Graded,
+    Must,
+    ends,
+    estop,
+)
 from fsai_hil.evidence.campaign.injections import Injection
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
@@ -77,6 +92,7 @@ class Draw:
 
 
 lasts = partial(Draw, "duration")  # how long, in ms
+CONTROL_MS: Final = 20  # a command comes every 20 ms: what is wrong with it shows that much later
 
 
 class FaultKind(Value, frozen=True):
@@ -85,7 +101,7 @@ class FaultKind(Value, frozen=True):
     name: str
     what: str
     begin: Injection
-    must: Must
+    must: Must | Graded
     draws: tuple[Draw, ...] = ()
     missions: frozenset[Ami] = EVERY_MISSION
     revisions: tuple[str, ...] = BOTH
@@ -103,65 +119,43 @@ class Fault(Value, frozen=True):
     name: str
     what: str
 
-    def by(self, begin: Injection, must: Must, *draws: Draw, **where: Any) -> FaultKind:
+    def by(self, begin: Injection, must: Must | Graded, *draws: Draw, **where: Any) -> FaultKind:
         return FaultKind(self.name, self.what, begin, must, draws, **where)
 
 
-# ---------------------------------------------------------------- demands shared by several rows
+# ---------------------------------------------------------------- endings shared by several rows
 
 MAY_MEET = ends(End.ON, End.SELF, note="torque and brake may meet at the car")
 ROUGH = ends(End.ON, End.HELD, End.STOP, End.ESTOP, note="every limit and interlock holds")
-EDGE = d.stop(10)
-ITSELF = ends(End.SELF, no_torque_ms=10 + d.SLACK_MS, safe_ms=2 * d.SLACK_MS)
-NO_DRIVE = ends(End.STOP, no_torque_ms=0, note="no torque ever")
+ITSELF = ends(End.SELF, safe_ms=2 * SLACK_MS)
+NO_DRIVE = ends(End.STOP, note="no torque ever")
 WITHIN_LIMIT = ends(End.ON, End.HELD, note="never above the live limit")
-
-LOST_STATUS = Graded(((50, d.held(d.VCU_STALE_MS)), (100, d.CAR_STOPS)))
-STATUS_BANDS = ((10, 30), (82, 86), (130, 2500))
-NO_ECHO = Graded(((100, d.CAR_STOPS),))
-LOST_FEEDBACK = Graded(
-    ((100, d.stop(d.FEEDBACK_STALE_MS)), (300, d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS))),
-)
-FEEDBACK_BANDS = ((10, 60), (130, 240), (360, 2500))
-ECHO_REPLACED = ends(End.ON, note="two complete zero cycles stand for its echo")
 AXLE_IDLE = ends(End.ON, note="no torque on that axle while its limit is 100 ms old")
+ECHO_REPLACED = ends(End.ON, note="two complete zero cycles stand for its echo")
+SILENT = ends(End.SELF, safe_ms=IN_TIME_MS)
+SILENT_OURS = replace(SILENT, note="it never drives on by itself")
+RESTARTED = ends(End.STOP, note="it never drives on by itself")
+
+LOST_STATUS = Graded(((50, PAUSE), (100, CAR_STOPS)))
+STATUS_BANDS = ((10, 30), (82, 86), (130, 2500))
+NO_ECHO = Graded(((100, CAR_STOPS),))
+LOST_FEEDBACK = Graded(((100, STOP), (300, estop(300))))
+FEEDBACK_BANDS = ((10, 60), (130, 240), (360, 2500))
 LOST_LIMIT = Graded(((0, AXLE_IDLE), (100, WITHIN_LIMIT)))
-COMMAND_STOP = d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.COMMAND_STALE_MS + d.CONTROL_MS)
-LOST_COMMAND = Graded(((100, d.held(d.COMMAND_STALE_MS + d.CONTROL_MS)), (300, COMMAND_STOP)))
+LOST_COMMAND = Graded(((100, PAUSE), (300, STOP)))
 COMMAND_BANDS = ((10, 60), (140, 240), (380, 2500))
-OLD_DATA = Graded(((600, d.stop(700 + d.PLAN_MS, d.SENSOR_STALE_MS + d.PLAN_MS)),))
-OLD_FOR_LONG = d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.CONTROL_MS)
-SILENT = ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
-SILENT_OURS = replace(SILENT, no_torque_ms=0, note="it never drives on by itself")
+OLD_DATA = Graded(((600, STOP),))
 AI_SILENT = Graded(((100, SILENT),))
 AI_SILENT_TORQUE = Graded(((0, MAY_MEET), (100, SILENT)))
 
-STEERING_OFF, WHEEL_OFF = d.implausible(Onset.STEERING), d.implausible(Onset.WHEEL)
-COUNTS_OFF = d.implausible(Onset.COUNTS, d.FEEDBACK_STALE_MS, d.FEEDBACK_LOST_MS, "the speeds are not believed")
-FAST_CLOCK_MS = 110 + 20  # the age of the oldest data behind a command, and how far ahead a stamp may be
-
 INEFFECTIVE = ends(
-    *(End.STOP, End.ESTOP),
-    no_torque_ms=d.SLACK_MS,
-    estop_ms=3000 + d.SLACK_MS,
-    safe_ms=3000 + 60,
-    note="no deceleration, or still moving 3 s after the stop began",
+    *(End.STOP, End.ESTOP), safe_ms=3060, note="no deceleration, or still moving 3 s after the stop began"
 )
-NO_BRAKE_MS = d.DECELERATION_MS + 2 * d.SLACK_MS + 10  # torque goes before the brake comes, and counting begins with it
-NO_BRAKE = replace(INEFFECTIVE, estop_ms=NO_BRAKE_MS, note="no deceleration for 0.5 s")
+# Torque goes before the brake comes, and 0.5 s without a deceleration count from the brake on.
+NO_BRAKE = replace(INEFFECTIVE, safe_ms=500 + 10 + 2 * SLACK_MS + 10, note="no deceleration for 0.5 s")
 
 
-def restart_within(torque_ms: float, brake_ms: float) -> Must:
-    """A stop once the process that ended is back, or its silence is that old."""
-
-    def demand(p: Params) -> Demand:
-        back_ms = p["duration"] + d.CONTROL_MS
-        return d.stop(min(back_ms, brake_ms), min(back_ms, torque_ms))
-
-    return Computed("it never drives on by itself: service-brake stop", demand)
-
-
-EACH_WHEEL = Draw("wheel", *i.WHEELS)
+EACH_WHEEL = Draw("wheel", *inject.WHEELS)
 BUS_LOST = "commands are dropped, and the bus is opened again with growing pauses"
 SWINGS = Draw("period", (50, 500))
 SHOWN = lasts((15, 1500))
@@ -188,16 +182,16 @@ def _message(
     lost: Graded,
     lost_ms: Bands,
     late_ms: Bands,
-    frozen: Must = d.NOTHING,
+    frozen: Must | Graded = NOTHING,
     frozen_ms: Bands = ((50, 2500),),
-    corrupted: Must = d.ANY,
+    corrupted: Must = ANY,
 ) -> tuple[FaultKind, ...]:
     """All that can happen to one message on its way: the car's to us, or ours to the car.
 
     `lost` grades by the time without a believable message, be it that none comes, that they come later or too short.
     """
     ours = can_id in AI_IDS
-    on_wire = partial(i.to_car if ours else i.from_car, {can_id})
+    on_wire = partial(inject.to_car if ours else inject.from_car, {can_id})
     no_message = "has too few bytes: no believable message comes"
     late, cut = Draw("delay", *late_ms), Draw("length", (0, BY_ID[can_id].dlc - 1))
     times, bits = Draw("times", (2, 5)), Draw("bits", (1, 8))
@@ -209,7 +203,7 @@ def _message(
             ("lost", "stops coming", "lost", lost, lasts(*lost_ms)),
             ("late", "comes later, and goes on so", "late", replace(lost, of="delay"), late),
             ("frozen", "repeats one payload", "frozen", frozen, lasts(*frozen_ms)),
-            ("twice", "arrives several times", "twice", d.NOTHING, times, lasts((100, 2500))),
+            ("twice", "arrives several times", "twice", NOTHING, times, lasts((100, 2500))),
             ("corrupted", "has bits flipped", "flipped", corrupted, lasts((10, 2000)), bits),
             ("wrong_length", no_message, "cut", lost, lasts(*lost_ms), cut),
         )
@@ -226,7 +220,7 @@ _limit = partial(
     late_ms=((5, 60), (130, 800)),
     corrupted=WITHIN_LIMIT,
 )
-_needless = partial(_message, lost=Graded(), lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=d.NOTHING)
+_needless = partial(_message, lost=Graded(), lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=NOTHING)
 _incoming = partial(
     _message,
     lost=AI_SILENT,
@@ -241,7 +235,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     # ---------------------------------------------------------------- what the car sends
     *_message(
         "status",
-        i.STATUS,
+        inject.STATUS,
         "the car's state",
         lost=LOST_STATUS,
         lost_ms=STATUS_BANDS,
@@ -250,46 +244,46 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         frozen_ms=((10, 60), (150, 3000)),
     ),
     Fault("status_jittering", "0x520 comes at irregular times, in order").by(
-        i.from_car({i.STATUS}, "jittering"), d.NOTHING, Draw("delay", (1, 25))
+        inject.from_car({inject.STATUS}, "jittering"), NOTHING, Draw("delay", (1, 25))
     ),
     Fault("status_falls_back", "0x520 shows another AS state for a while, the car drives").by(
-        i.status_shows(lambda p: {"as_state": AsState[p["state"]]}),
-        ends(End.STOP, End.SELF, End.ESTOP, no_torque_ms=10 + d.SLACK_MS, note="back in AS_DRIVING it brakes to rest"),
+        inject.status_shows(lambda p: {"as_state": AsState[p["state"]]}),
+        ends(End.STOP, End.SELF, End.ESTOP, note="back in AS_DRIVING it brakes to rest"),
         SHOWN,
         Draw("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
     ),
     Fault("status_go_off", "0x520 shows GO_SIGNAL 0, the car drives").by(
-        i.status_shows(lambda p: {"go_signal": False}), EDGE, SHOWN
+        inject.status_shows(lambda p: {"go_signal": False}), STOP, SHOWN
     ),
     Fault("status_fault_bit", "0x520 shows FAULT_STATUS 1, the car drives").by(
-        i.status_shows(lambda p: {"fault": True}), EDGE, SHOWN
+        inject.status_shows(lambda p: {"fault": True}), STOP, SHOWN
     ),
     Fault("status_undefined_as_state", "0x520 shows an AS_STATE that no table knows, the car drives").by(
-        i.from_car({i.STATUS}, "undefined AS_STATE"),
-        Graded(((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))),
+        inject.from_car({inject.STATUS}, "undefined AS_STATE"),
+        Graded(((0, PAUSE), (100, estop(100)))),
         lasts((10, 40), (60, 86), (130, 2500)),
         Draw("state", (6, 15)),
     ),
     Fault("status_flickering_as_state", "0x520 shows an AS_STATE that no table knows in every other frame").by(
-        i.from_car({i.STATUS}, "flickering AS_STATE"), d.held(10), lasts((30, 1500)), Draw("state", (6, 15))
+        inject.from_car({inject.STATUS}, "flickering AS_STATE"), PAUSE, lasts((30, 1500)), Draw("state", (6, 15))
     ),
     Fault("status_state_fault", "0x520 shows one of its states as FAULT while FAULT_STATUS stays 0, the car drives").by(
-        i.status_shows(lambda p: {p["state"]: FAULT_STATES[p["state"]]}),
-        EDGE,
+        inject.status_shows(lambda p: {p["state"]: FAULT_STATES[p["state"]]}),
+        STOP,
         SHOWN,
         Draw("state", *FAULT_STATES),
         revisions=("2026",),
     ),
     Fault("status_ami", "0x520 shows another mission, or none, the car drives").by(
-        i.status_shows(lambda p: {"ami": Ami[p["ami"]]}),
-        EDGE,
+        inject.status_shows(lambda p: {"ami": Ami[p["ami"]]}),
+        STOP,
         SHOWN,
         Draw("ami", Ami.NOT_SELECTED.name, Ami.AUTONOMOUS_DEMO.name),
         missions=EVERY_MISSION - {Ami.AUTONOMOUS_DEMO},
     ),
     *(
         Fault(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
-            i.status_shows(shown), EDGE, SHOWN, *draws
+            inject.status_shows(shown), STOP, SHOWN, *draws
         )
         for name, what, shown, *draws in (
             ("as_switch_off", "AS_SWITCH_STATUS 0", lambda p: {"as_switch": False}),
@@ -312,58 +306,63 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault(
         "status_old_marks",
         "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits, a SHUTDOWN_CAUSE or states since before the run",
-    ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), d.NOTHING, Draw("mark", *OLD_MARKS), from_start=True),
+    ).by(inject.status_shows(lambda p: OLD_MARKS[p["mark"]]), NOTHING, Draw("mark", *OLD_MARKS), from_start=True),
     Fault("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
-        i.together(
-            i.status_shows(lambda p: {"ami": Ami.NOT_SELECTED}), i.vcu_differs(ready_without_acknowledgement=True)
+        inject.together(
+            inject.status_shows(lambda p: {"ami": Ami.NOT_SELECTED}),
+            inject.vcu_differs(ready_without_acknowledgement=True),
         ),
         NO_DRIVE,
         from_start=True,
     ),
     Fault("vcu_hasty", "the VCU takes Go so many ms after AS_READY began, not after 5 s").by(
-        i.together(i.vcu_differs(ready_wait_ns=MS), i.hasty_go),
+        inject.together(inject.vcu_differs(ready_wait_ns=MS), inject.hasty_go),
         NO_DRIVE,
         Draw("ready", (20, 60), (500, 4700)),
         from_start=True,
     ),
     Fault("vcu_shows_go_all_along", "0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen").by(
-        i.status_shows(lambda p: {"go_signal": True}), NO_DRIVE, from_start=True
+        inject.status_shows(lambda p: {"go_signal": True}), NO_DRIVE, from_start=True
     ),
     Fault("handshake_inverted", "HANDSHAKE toggles wrong on its way: inverted").by(
-        i.wild_handshake, NO_ECHO, lasts((10, 60), (150, 3000)), Draw("way", "inverted")
+        inject.wild_handshake, NO_ECHO, lasts((10, 60), (150, 3000)), Draw("way", "inverted")
     ),
     Fault("handshake_random", "HANDSHAKE toggles wrong on its way: by chance").by(
-        i.wild_handshake, d.MAY_STOP_ITSELF, lasts((10, 3000)), Draw("way", "random")
+        inject.wild_handshake, MAY_STOP_ITSELF, lasts((10, 3000)), Draw("way", "random")
     ),
     Fault("handshake_stuck", "HANDSHAKE stands still on its way").by(
-        i.status_shows(lambda p: {"handshake": p["bit"] == "1"}),
+        inject.status_shows(lambda p: {"handshake": p["bit"] == "1"}),
         NO_ECHO,
         lasts((10, 60), (150, 3000)),
         Draw("bit", "0", "1"),
     ),
     Fault("handshake_slow", "our echo reaches the car late, within its patience").by(
-        i.to_car({i.AI_STATUS}, "late"), d.NOTHING, Draw("delay", (20, 70))
+        inject.to_car({inject.AI_STATUS}, "late"), NOTHING, Draw("delay", (20, 70))
     ),
-    *_limit("front_limit", i.DRIVE_F, "the front axle's torque limit"),
-    *_limit("rear_limit", i.DRIVE_R, "the rear axle's torque limit"),
-    *_feedback("steering", i.STEER, "the steering angle", frozen=STEERING_OFF),
-    *_needless("brakes", i.BRAKE, "brake feedback", lost=Graded(((0, ECHO_REPLACED),))),
-    *_feedback("speeds", i.SPEEDS, "wheel speeds", frozen=d.ANY),
-    *_needless("counts", i.COUNTS, "wheel pulses", frozen=COUNTS_OFF),
+    *_limit("front_limit", inject.DRIVE_F, "the front axle's torque limit"),
+    *_limit("rear_limit", inject.DRIVE_R, "the rear axle's torque limit"),
+    *_feedback("steering", inject.STEER, "the steering angle", frozen=ODD),
+    *_needless("brakes", inject.BRAKE, "brake feedback", lost=Graded(((0, ECHO_REPLACED),))),
+    *_feedback("speeds", inject.SPEEDS, "wheel speeds", frozen=ANY),
+    *_needless("counts", inject.COUNTS, "wheel pulses", frozen=UNBELIEVED),
     Fault("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
-        i.from_car(i.LOGS, "flipped"), d.NOTHING, lasts((20, 4000)), Draw("bits", (1, 12))
+        inject.from_car(inject.LOGS, "flipped"), NOTHING, lasts((20, 4000)), Draw("bits", (1, 12))
     ),
     Fault("everything_thinned", "each frame of the car is lost by chance").by(
-        i.from_car(i.FROM_CAR, "thinned"), d.NOTHING, Draw("share", (0.01, 0.12))
+        inject.from_car(inject.FROM_CAR, "thinned"), NOTHING, Draw("share", (0.01, 0.12))
     ),
     Fault("car_silent", "we receive nothing of the car, it receives us").by(
-        i.from_car(i.FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
+        inject.from_car(inject.FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
     Fault("vcu_hangs", "the VCU neither sends nor receives for a while").by(
-        i.together(i.from_car(i.FROM_CAR, "lost"), i.to_car(AI_IDS, "lost")), LOST_STATUS, lasts(*STATUS_BANDS)
+        inject.together(inject.from_car(inject.FROM_CAR, "lost"), inject.to_car(AI_IDS, "lost")),
+        LOST_STATUS,
+        lasts(*STATUS_BANDS),
     ),
     *(
-        Fault(f"gps_{name}", what).by(i.from_car(i.GPS_IDS, fault), d.NOTHING, lasts((50, 4000)), *draws, gps=True)
+        Fault(f"gps_{name}", what).by(
+            inject.from_car(inject.GPS_IDS, fault), NOTHING, lasts((50, 4000)), *draws, gps=True
+        )
         for name, what, fault, *draws in (
             ("lost", "the PCAN-GPS stops sending", "lost"),
             (
@@ -378,101 +377,100 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     # ---------------------------------------------------------------- what the car receives
-    *_incoming("ai_status", i.AI_STATUS, "our state", frozen=SILENT),
-    *_incoming_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
-    *_incoming_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
-    *_incoming("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
-    *_incoming_torque("ai_brake", i.AI_BRAKE, "our brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)),
+    *_incoming("ai_status", inject.AI_STATUS, "our state", frozen=SILENT),
+    *_incoming_torque("ai_front", inject.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
+    *_incoming_torque("ai_rear", inject.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
+    *_incoming("ai_steer", inject.AI_STEER, "our steering request", frozen=ODD),
+    *_incoming_torque(
+        "ai_brake", inject.AI_BRAKE, "our brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)
+    ),
     Fault("ai_thinned", "each of our frames is lost on its way by chance").by(
-        i.to_car(AI_IDS, "thinned"), d.MAY_STOP_ITSELF, Draw("share", (0.01, 0.12))
+        inject.to_car(AI_IDS, "thinned"), MAY_STOP_ITSELF, Draw("share", (0.01, 0.12))
     ),
     Fault("intruder", "somebody else sends on one of our ids").by(
-        i.intruder,
-        ends(End.ESTOP, End.SELF, no_torque_ms=d.SLACK_MS, estop_ms=d.SLACK_MS, safe_ms=60),
+        inject.intruder,
+        ends(End.ESTOP, End.SELF, safe_ms=35, asks=True),
         Draw("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
         Draw("frames", (1, 50)),
         Draw("period", (1, 20)),
         Draw("payload", "zeros", "random"),
     ),
     Fault("other_revision", "frames that only another revision has come beside the car's: they are named").by(
-        i.other_revision, d.NOTHING, lasts((20, 4000)), revisions=("2026",)
+        inject.other_revision, NOTHING, lasts((20, 4000)), revisions=("2026",)
     ),
     Fault("stranger", "unknown, extended, remote and error frames every millisecond").by(
-        i.stranger, d.NOTHING, lasts((20, 1500))
+        inject.stranger, NOTHING, lasts((20, 1500))
     ),
     # ---------------------------------------------------------------- sensors
     *(
         Fault(f"wheel_{name}", f"one wheel speed {what}").by(
-            i.reading(change, "wheel_rpm"), must, EACH_WHEEL, *draws, missions=ROAD_MISSIONS
+            inject.reading(change, "wheel_rpm"), must, EACH_WHEEL, *draws, missions=ROAD_MISSIONS
         )
         for name, what, change, must, *draws in (
-            ("dead", "reads 0", "dead", WHEEL_OFF),
-            ("stuck", "stands still", "stuck", WHEEL_OFF),
-            ("drifting", "drifts, in rpm/s", "drifting", WHEEL_OFF, Draw("rate", (-300, -60), (60, 300))),
-            ("very_noisy", "is noisy, sigma in rpm", "noisy", WHEEL_OFF, Draw("size", (80, 300))),
-            ("offset", "is too high by so many rpm", "offset", WHEEL_OFF, Draw("size", (150, 600))),
-            ("scaled", "reads a multiple", "scaled", WHEEL_OFF, Draw("factor", (0.2, 0.6), (1.6, 3.0))),
-            ("noisy", "is a little noisy, sigma in rpm", "noisy", d.NOTHING, Draw("size", (1, 8))),
+            ("dead", "reads 0", "dead", ODD),
+            ("stuck", "stands still", "stuck", ODD),
+            ("drifting", "drifts, in rpm/s", "drifting", ODD, Draw("rate", (-300, -60), (60, 300))),
+            ("very_noisy", "is noisy, sigma in rpm", "noisy", ODD, Draw("size", (80, 300))),
+            ("offset", "is too high by so many rpm", "offset", ODD, Draw("size", (150, 600))),
+            ("scaled", "reads a multiple", "scaled", ODD, Draw("factor", (0.2, 0.6), (1.6, 3.0))),
+            ("noisy", "is a little noisy, sigma in rpm", "noisy", NOTHING, Draw("size", (1, 8))),
         )
     ),
     Fault("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
-        i.from_car({i.SPEEDS}, "impossible speeds"),
+        inject.from_car({inject.SPEEDS}, "impossible speeds"),
         LOST_FEEDBACK,
         lasts(*FEEDBACK_BANDS),
-        Draw("wheel", *i.WHEELS, "all"),
+        Draw("wheel", *inject.WHEELS, "all"),
         Draw("rpm", "1251", "1300", "65535"),
     ),
     Fault(
         "wheel_spiking",
         "one wheel speed jumps in every so many frames by more than any tyre can follow: such a frame is not believed",
-    ).by(i.spiking_speed, d.NOTHING, EACH_WHEEL, Draw("every", (2, 6))),
+    ).by(inject.spiking_speed, NOTHING, EACH_WHEEL, Draw("every", (2, 6))),
     Fault(
         "wheels_jumping",
         "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there: not believed",
-    ).by(i.reading("offset", "wheel_rpm"), LOST_FEEDBACK.steps[-1][1], Draw("size", (400, 800))),
-    Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading("stuck", "wheel_rpm"), d.ANY, UPSET),
-    Fault("wheels_dead", "all wheel speeds read 0").by(i.reading("dead", "wheel_rpm"), COUNTS_OFF, UPSET),
+    ).by(inject.reading("offset", "wheel_rpm"), LOST_FEEDBACK.steps[-1][1], Draw("size", (400, 800))),
+    Fault("wheels_stuck", "all wheel speeds stand still").by(inject.reading("stuck", "wheel_rpm"), ANY, UPSET),
+    Fault("wheels_dead", "all wheel speeds read 0").by(inject.reading("dead", "wheel_rpm"), UNBELIEVED, UPSET),
     Fault("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
-        i.swapped_wheels,
+        inject.swapped_wheels,
         ends(End.ON, End.STOP, End.ESTOP, note="curves may make them implausible"),
         Draw("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
         missions=ROAD_MISSIONS,
     ),
     Fault("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
-        i.reading("wrong pulses", "pulses"),
-        Computed(
-            f"{d.NOTHING.demanded}; where they stand still: {COUNTS_OFF.demanded}",
-            lambda p: COUNTS_OFF if p["way"] == "stuck" else d.NOTHING,
-        ),
+        inject.reading("wrong pulses", "pulses"),
+        Graded((("stuck", UNBELIEVED),), "way"),
         Draw("way", "stuck", "double", "random"),
     ),
     Fault(
         "pulses_running_on",
         "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
     ).by(
-        i.together(i.reading("wrong pulses", "pulses"), i.manual_asked),
-        replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)), note="it never sends FINISHED"),
+        inject.together(inject.reading("wrong pulses", "pulses"), inject.manual_asked),
+        replace(UNBELIEVED, ends=frozenset((End.ESTOP,)), note="it never sends FINISHED"),
         Draw("way", "running"),
         Draw("rate", (30, 400)),
     ),
     *(
         Fault(f"steering_sensor_{name}", f"the steering angle measured {what}").by(
-            i.reading(change, "steer_deg"), must, *draws
+            inject.reading(change, "steer_deg"), must, *draws
         )
         for name, what, change, must, *draws in (
-            ("stuck", "stands still", "stuck", STEERING_OFF),
-            ("offset", "is off by so many deg", "offset", STEERING_OFF, Draw("size", (-15.0, -4.0), (4.0, 15.0))),
-            ("drifting", "drifts, in deg/s", "drifting", STEERING_OFF, Draw("rate", (-6.0, -1.0), (1.0, 6.0))),
-            ("noisy", "is noisy, sigma in deg", "noisy", STEERING_OFF, Draw("size", (0.1, 5.0))),
-            ("slightly_off", "is off by up to 1 deg", "offset", d.NOTHING, Draw("size", (-1.0, 1.0))),
+            ("stuck", "stands still", "stuck", ODD),
+            ("offset", "is off by so many deg", "offset", ODD, Draw("size", (-15.0, -4.0), (4.0, 15.0))),
+            ("drifting", "drifts, in deg/s", "drifting", ODD, Draw("rate", (-6.0, -1.0), (1.0, 6.0))),
+            ("noisy", "is noisy, sigma in deg", "noisy", ODD, Draw("size", (0.1, 5.0))),
+            ("slightly_off", "is off by up to 1 deg", "offset", NOTHING, Draw("size", (-1.0, 1.0))),
         )
     ),
     Fault("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
-        i.reading("stuck or noise", *i.BRAKES), d.NOTHING, Draw("way", "stuck", "noise")
+        inject.reading("stuck or noise", *inject.BRAKES), NOTHING, Draw("way", "stuck", "noise")
     ),
     *(
         Fault(f"gyro_{change}", f"the yaw rate of the PCAN-GPS {what}").by(
-            i.reading(change, "yaw_rate_radps"), d.NOTHING, draw, missions=ROAD_MISSIONS, gps=True
+            inject.reading(change, "yaw_rate_radps"), NOTHING, draw, missions=ROAD_MISSIONS, gps=True
         )
         for change, what, draw in (
             ("drifting", "drifts, in rad/s2", Draw("rate", (-0.5, 0.5))),
@@ -481,7 +479,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     # ---------------------------------------------------------------- actuators
     *(
-        Fault(f"steering_{name}", f"the steering {what}").by(i.ordered(change, "steer_deg"), STEERING_OFF, *draws)
+        Fault(f"steering_{name}", f"the steering {what}").by(inject.ordered(change, "steer_deg"), ODD, *draws)
         for name, what, change, *draws in (
             ("stuck_rack", "sticks", "slow"),
             ("free", "does not follow: it returns to straight", "dead"),
@@ -492,33 +490,33 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     Fault("motor_dead", "no motor gives torque").by(
-        i.ordered("dead", *i.TORQUES), ends(End.ON, note="as far as it rolls")
+        inject.ordered("dead", *inject.TORQUES), ends(End.ON, note="as far as it rolls")
     ),
     Fault("motor_weak", "the motors give a part of the torque").by(
-        i.ordered("scaled", *i.TORQUES), d.NOTHING, Draw("factor", (0.1, 0.7))
+        inject.ordered("scaled", *inject.TORQUES), NOTHING, Draw("factor", (0.1, 0.7))
     ),
     Fault("motor_one_axle", "one of the two driven axles gives no torque").by(
-        i.ordered("dead", "front_torque_nm"), d.NOTHING, revisions=("2021",)
+        inject.ordered("dead", "front_torque_nm"), NOTHING, revisions=("2021",)
     ),
     Fault("motor_late", "torque comes and goes late, in ms").by(
-        i.ordered("late", *i.TORQUES), d.NOTHING, Draw("delay", (20, 200))
+        inject.ordered("late", *inject.TORQUES), NOTHING, Draw("delay", (20, 200))
     ),
     Fault("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
-        i.together(i.ordered("runs on", "rear_torque_nm"), i.manual_asked),
+        inject.together(inject.ordered("runs on", "rear_torque_nm"), inject.manual_asked),
         INEFFECTIVE,
         Draw("torque", (20.0, 150.0)),
     ),
     *(
         Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(
-            i.together(i.ordered(change, *brakes), i.manual_asked), must, *draws
+            inject.together(inject.ordered(change, *brakes), inject.manual_asked), must, *draws
         )
         for name, what, change, brakes, must, *draws in (
-            ("failing", "the service brake does nothing", "dead", i.BRAKES, NO_BRAKE),
+            ("failing", "the service brake does nothing", "dead", inject.BRAKES, NO_BRAKE),
             (
                 "weak",
                 "the service brake gives a part only",
                 "scaled",
-                i.BRAKES,
+                inject.BRAKES,
                 INEFFECTIVE,
                 Draw("factor", (0.02, 0.6)),
             ),
@@ -526,20 +524,20 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 "slow",
                 "brake pressure builds up slowly, in %/s",
                 "builds up",
-                i.BRAKES,
+                inject.BRAKES,
                 INEFFECTIVE,
                 Draw("rate", (5.0, 100.0)),
             ),
-            ("front_only", "the rear brakes do nothing", "dead", i.BRAKES[1:], INEFFECTIVE),
-            ("rear_only", "the front brakes do nothing", "dead", i.BRAKES[:1], INEFFECTIVE),
+            ("front_only", "the rear brakes do nothing", "dead", inject.BRAKES[1:], INEFFECTIVE),
+            ("rear_only", "the front brakes do nothing", "dead", inject.BRAKES[:1], INEFFECTIVE),
         )
     ),
     Fault("brakes_fail_driving", "the service brake does nothing while it drives").by(
-        i.ordered("dead", *i.BRAKES), ROUGH
+        inject.ordered("dead", *inject.BRAKES), ROUGH
     ),
     # ---------------------------------------------------------------- people, switches, the VCU
     *(
-        Fault(name, what).by(i.put(f"world.vcu.switches.{switch}", value), ITSELF)
+        Fault(name, what).by(inject.put(f"world.vcu.switches.{switch}", value), ITSELF)
         for name, what, switch, value in (
             ("go_off", "the remote's Go is withdrawn", "go", False),
             ("asms_off", "ASMS is turned off", "asms", False),
@@ -555,122 +553,115 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     Fault("ami_changed", "somebody turns the AMI in AS_DRIVING").by(
-        i.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), EDGE, missions=ROAD_MISSIONS
+        inject.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), STOP, missions=ROAD_MISSIONS
     ),
     Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock").by(
-        i.put("world.vcu.switches.steering_fault", True), d.NOTHING
+        inject.put("world.vcu.switches.steering_fault", True), NOTHING
     ),
     Fault("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock").by(
-        i.put("world.vcu.switches.brake_fault", True), d.NOTHING
+        inject.put("world.vcu.switches.brake_fault", True), NOTHING
     ),
     Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
-        i.derated, WITHIN_LIMIT, Draw("limit", "torque_limit_nm"), Draw("value", (0.0, 120.0))
+        inject.derated, WITHIN_LIMIT, Draw("limit", "torque_limit_nm"), Draw("value", (0.0, 120.0))
     ),
     Fault("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
-        i.derated, WITHIN_LIMIT, Draw("limit", "steer_limit_deg"), Draw("value", (2.0, 20.0))
+        inject.derated, WITHIN_LIMIT, Draw("limit", "steer_limit_deg"), Draw("value", (2.0, 20.0))
     ),
     Fault("vcu_reboots", "the VCU loses its power for a moment and starts again").by(
-        i.put("world.vcu.switches.lvms", False),
-        ends(
-            End.OFF,
-            End.SELF,
-            End.ESTOP,
-            no_torque_ms=d.VCU_STALE_MS + d.SLACK_MS,
-            note="a drive needs the whole sequence again",
-        ),
+        inject.put("world.vcu.switches.lvms", False),
+        ends(End.OFF, End.SELF, End.ESTOP, note="a drive needs the whole sequence again"),
         lasts((5, 2000)),
     ),
-    Fault("manual_asked", "manual mode is asked for while it drives").by(i.manual_asked, d.stop(0)),
+    Fault("manual_asked", "manual mode is asked for while it drives").by(inject.manual_asked, STOP),
     Fault("emergency_asked", "the emergency brake is asked for").by(
-        lambda fault, rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns), d.estop(0)
+        lambda fault, rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns), estop(0)
     ),
     Fault("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives: all refused").by(
-        i.together(
+        inject.together(
             lambda fault, rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns),
             lambda fault, rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns),
             lambda fault, rig, p, t_ns: rig.bridge.reset(t_ns),
         ),
-        d.NOTHING,
+        NOTHING,
     ),
     Fault("software_stopped", "this software is stopped in order while the car drives").by(
         lambda fault, rig, p, t_ns: rig.bridge.begin_stop(t_ns),
         ends(
             *(End.ESTOP, End.SELF, End.STOP),
-            no_torque_ms=d.SLACK_MS,
             safe_ms=200,
             note="moving, ESTOP_REQUEST for five cycles, then silence",
         ),
     ),
     # ---------------------------------------------------------------- planner, controller, detector
     *(
-        Fault(name, what).by(i.put(part, False), OLD_DATA, lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
+        Fault(name, what).by(inject.put(part, False), OLD_DATA, lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
         for name, what, part in (
             ("planner_silent", "the planner hangs for a while", "computer.planner_running"),
             ("detector_silent", "the detector stops for a while", "detects"),
         )
     ),
     Fault("planner_restarted", "the planner ends and is started again in mid-drive").by(
-        i.restarted("planner"),
-        restart_within(d.SENSOR_STALE_MS + d.PLAN_MS, 700 + d.PLAN_MS),
+        inject.restarted("planner"),
+        RESTARTED,
         lasts((0, 400), (950, 3000)),
         missions=PATH_MISSIONS,
     ),
     Fault("planner_restarted_unneeded", "the same where nobody needs its paths").by(
-        i.restarted("planner"),
-        restart_within(math.inf, math.inf),
+        inject.restarted("planner"),
+        RESTARTED,
         lasts((0, 2000)),
         missions=EVERY_MISSION - PATH_MISSIONS,
     ),
     Fault("planner_late", "each plan comes late, with the stamp of its data").by(
-        i.late_plans,
+        inject.late_plans,
         replace(OLD_DATA, of="delay"),
         Draw("delay", (20, 200), (950, 1500)),
         missions=PATH_MISSIONS,
     ),
     *(
-        Fault(f"planner_{name}", what).by(i.plans(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS)
+        Fault(f"planner_{name}", what).by(inject.plans(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS)
         for name, what, change, *draws in (
             ("empty", "the planner finds no way: empty paths", lambda plan, at: None),
-            ("absurd", "the planner's paths go anywhere", i.absurd_plan),
-            ("oscillating", "the planner's paths swing from left to right", i.swinging_plan, SWINGS),
-            ("nan", "NaN or infinity in the planner's path", i.nan_plan),
+            ("absurd", "the planner's paths go anywhere", inject.absurd_plan),
+            ("oscillating", "the planner's paths swing from left to right", inject.swinging_plan, SWINGS),
+            ("nan", "NaN or infinity in the planner's path", inject.nan_plan),
         )
     ),
     Fault("planner_finishes_early", "the planner reports that the mission is over, at full speed").by(
-        i.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
-        replace(d.stop(d.PLAN_MS + d.CONTROL_MS), own_word=False),
+        inject.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
+        replace(STOP, own_word=False),
         missions=PATH_MISSIONS,
     ),
     Fault("controller_silent", "the controller hangs for a while").by(
-        i.commands(lambda command, at: None), LOST_COMMAND, lasts(*COMMAND_BANDS)
+        inject.commands(lambda command, at: None), LOST_COMMAND, lasts(*COMMAND_BANDS)
     ),
     Fault("controller_restarted", "the controller ends and is started again in mid-drive").by(
-        i.restarted("controller"),
-        restart_within(d.COMMAND_STALE_MS + d.CONTROL_MS, d.COMMAND_LOST_MS + d.CONTROL_MS),
+        inject.restarted("controller"),
+        RESTARTED,
         lasts((0, 250), (400, 3000)),
     ),
     Fault(
         "controller_nan", "NaN, infinity or an out-of-range number in every command: refused whole, as if none had come"
     ).by(
-        i.commanded(i.no_number),
+        inject.commanded(inject.no_number),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
         Draw("field", "steering_rad", "throttle", "brake"),
         Draw("value", "nan", "inf", "beyond", "negative"),
     ),
     Fault("controller_other_run", "commands for another run: they count as no command").by(
-        i.commanded(lambda command, at: {"run_id": command.run_id + at.p["off"]}),
+        inject.commanded(lambda command, at: {"run_id": command.run_id + at.p["off"]}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
         Draw("off", (-3, -1), (1, 3)),
     ),
     Fault("controller_old_stamps", "commands carry a stamp that is too old").by(
-        i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
-        Graded(((510, OLD_FOR_LONG), (950, d.stop(d.CONTROL_MS))), "age"),
+        inject.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
+        Graded(((510, STOP),), "age"),
         Draw("age", (20, 180), (510, 570), (950, 3000)),
     ),
     Fault("controller_future_stamps", "commands carry a stamp of the future: they are refused whole").by(
-        i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),
+        inject.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
         Draw("ahead", (30, 5000)),
@@ -679,7 +670,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         "controller_fixed_future_stamp",
         "every command carries one stamp of the future, so many ms ahead of the fault's beginning",
     ).by(
-        i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns - at.since_ns + at.p["ahead"] * MS}),
+        inject.commanded(lambda command, at: {"t_sensor_ns": at.t_ns - at.since_ns + at.p["ahead"] * MS}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
         Draw("ahead", (450, 6000)),
@@ -688,74 +679,69 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         "sensor_clock_fast",
         "the sensors' clock gains so many ms on every ms: its stamps lie more and more ahead of now",
     ).by(
-        i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns + round(at.p["gain"] * at.since_ns)}),
-        Computed(
-            f"a stamp over 20 ms ahead is refused; once they all are, by their age: {LOST_COMMAND.demanded}",
-            lambda p: d.stop(
-                FAST_CLOCK_MS / p["gain"] + d.COMMAND_LOST_MS + d.CONTROL_MS,
-                FAST_CLOCK_MS / p["gain"] + d.COMMAND_STALE_MS + d.CONTROL_MS,
-            ),
-        ),
+        inject.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns + round(at.p["gain"] * at.since_ns)}),
+        ends(End.STOP, note="a stamp over 20 ms ahead is refused; once they all are, they are lost"),
         Draw("gain", (0.2, 3.0)),
     ),
     Fault("controller_frozen", "one command is repeated, stamp and all").by(
-        i.commands(lambda command, at: at.kept.setdefault("first", command)), OLD_DATA, lasts((50, 280), (950, 3000))
+        inject.commands(lambda command, at: at.kept.setdefault("first", command)),
+        OLD_DATA,
+        lasts((50, 280), (950, 3000)),
     ),
     Fault("both_pedals", "throttle and brake in every command: the brake wins").by(
-        i.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
-        Graded(((0, d.held(d.CONTROL_MS)), (100, d.estop(d.BOTH_PEDALS_MS + d.CONTROL_MS, d.CONTROL_MS)))),
+        inject.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
+        Graded(((0, PAUSE), (100, estop(100 + CONTROL_MS)))),
         lasts((10, 50), (160, 2000)),
         Draw("throttle", (0.05, 1.0)),
         Draw("brake", (0.05, 1.0)),
     ),
     Fault("controller_gives_up", "the controller asks for the emergency brake").by(
-        i.commanded(lambda command, at: {"estop_request": True}), d.estop(d.CONTROL_MS)
+        inject.commanded(lambda command, at: {"estop_request": True}), estop(CONTROL_MS)
     ),
     Fault("controller_finishes_early", "the controller reports that the mission is over, at full speed").by(
-        i.commanded(lambda command, at: {"mission_finished": True}), d.stop(d.CONTROL_MS)
+        inject.commanded(lambda command, at: {"mission_finished": True}), STOP
     ),
     *(
-        Fault(f"controller_{name}", what).by(i.commanded(change), ROUGH, UPSET, *draws)
+        Fault(f"controller_{name}", what).by(inject.commanded(change), ROUGH, UPSET, *draws)
         for name, what, change, *draws in (
-            ("absurd", "commands of random numbers, each in range", i.absurd),
-            ("swinging", "steering from lock to lock", i.swinging, Draw("period", (20, 400))),
+            ("absurd", "commands of random numbers, each in range", inject.absurd),
+            ("swinging", "steering from lock to lock", inject.swinging, Draw("period", (20, 400))),
             (
                 "full_throttle",
                 "full throttle for ever",
                 lambda command, at: {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0},
             ),
-            ("pumping", "full throttle and full brake by turns", i.pumping, Draw("period", (20, 80))),
+            ("pumping", "full throttle and full brake by turns", inject.pumping, Draw("period", (20, 80))),
         )
     ),
     *(
         Fault(f"detector_{name}", f"the detector {what}").by(
-            i.cones(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS
+            inject.cones(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS
         )
         for name, what, change, *draws in (
-            ("blind", "sees no cone", i.blind),
-            ("inventing", "sees cones that are not there", i.invented, Draw("count", (1, 40))),
-            ("shifted", "sees every cone beside its place, in m", i.shifted, Draw("size", (-3.0, 3.0))),
-            ("nan", "gives NaN and infinity as places", i.nan_cones, Draw("share", (0.05, 1.0))),
-            ("colour_blind", "takes blue for yellow and yellow for blue", i.swapped_colours),
+            ("blind", "sees no cone", inject.blind),
+            ("inventing", "sees cones that are not there", inject.invented, Draw("count", (1, 40))),
+            ("shifted", "sees every cone beside its place, in m", inject.shifted, Draw("size", (-3.0, 3.0))),
+            ("nan", "gives NaN and infinity as places", inject.nan_cones, Draw("share", (0.05, 1.0))),
+            ("colour_blind", "takes blue for yellow and yellow for blue", inject.swapped_colours),
         )
     ),
     # ---------------------------------------------------------------- the bridge, its loop, clock and bus
-    Fault("bridge_killed", "the bridge's process is killed, and stays away").by(i.restarted("bridge"), SILENT_OURS),
+    Fault("bridge_killed", "the bridge's process is killed, and stays away").by(
+        inject.restarted("bridge"), SILENT_OURS
+    ),
     Fault("bridge_restarted", "the bridge is killed and started again in mid-drive").by(
-        i.restarted("bridge"), SILENT_OURS, lasts((0, 3000))
+        inject.restarted("bridge"), SILENT_OURS, lasts((0, 3000))
     ),
     Fault("bridge_restarted_and_asked", "the same, and somebody asks for autonomous all the while").by(
-        i.insisting_operator, SILENT_OURS, Draw("gone", (0, 3000))
+        inject.insisting_operator, SILENT_OURS, Draw("gone", (0, 3000))
     ),
     Fault("everything_restarted", "bridge, planner and controller end and are started again together").by(
-        i.restarted("bridge", "planner", "controller"), SILENT_OURS, lasts((0, 3000))
+        inject.restarted("bridge", "planner", "controller"), SILENT_OURS, lasts((0, 3000))
     ),
     Fault("bridge_hung", "the loop's process stands still for a while, and the car's frames wait for it").by(
         lambda fault, rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS),
-        Computed(
-            "a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
-            lambda p: Graded(((50, d.estop(p["hang"], 0)), (100, SILENT_OURS)), "hang").demand(p),
-        ),
+        Graded(((50, estop(82)), (100, SILENT_OURS)), "hang"),
         Draw("hang", (5, 35), (70, 82), (130, 2500)),
     ),
     Fault("edge_hung", "the process between ROS and the loop stands still for a while: no command comes through").by(
@@ -765,42 +751,29 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("edge_killed", "the process between ROS and the loop is killed").by(
         lambda fault, rig, p, t_ns: rig.computer.kill_edge(),
-        replace(
-            COMMAND_STOP,
-            ends=frozenset((End.STOP, End.SELF)),
-            note="at rest the loop ends, and the car takes the silence for an emergency",
-        ),
+        ends(End.STOP, End.SELF, note="at rest the loop ends, and the car takes the silence for an emergency"),
     ),
     Fault("loop_late", "the loop misses one deadline by so many ms").by(
         # The deadline that is missed is the answer to the car's next 0x520, which is due before the loop's own clock.
         lambda fault, rig, p, t_ns: rig.computer.hang_bridge(
             rig.computer.due_ns() - FALLBACK_AFTER_NS + PERIOD_NS + p["late"] * MS
         ),
-        Graded(((50, d.estop(51 + 15, 15)),), "late"),
+        Graded(((50, estop(51 + 15)),), "late"),
         Draw("late", (49, 49), (51, 51)),
     ),
     Fault(
         "clock_stepped",
         "the wall clock is set by less than the age of the data, in ms (the nodes' stamps stop larger ones)",
     ).by(
-        i.commanded(i.clock_step),
+        inject.commanded(inject.clock_step),
         ends(End.ON, note="only monotonic time is used"),
         Draw("step", (-50, -1), (1, 50)),
         missions=PATH_MISSIONS,
     ),
     *(
         Fault(name, what).by(
-            i.full_queue,
-            Computed(
-                "dropped cycles are tried again; 50 ms without a complete one: commands dropped, service-brake stop;"
-                " 100 ms the car stops itself",
-                lambda p: Graded(
-                    (
-                        (50, ends(End.STOP, End.SELF, brake_ms=p["duration"] + d.SLACK_MS, safe_ms=3000 + 100)),
-                        (100, SILENT),
-                    )
-                ).demand(p),
-            ),
+            inject.full_queue,
+            Graded(((50, ends(End.STOP, End.SELF, note="dropped cycles are tried again")), (100, SILENT))),
             lasts((5, 30), (66, 72), (130, 2500)),
             *draws,
         )
@@ -810,17 +783,14 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     Fault("bus_busy", "each frame finds the queue full by chance").by(
-        i.busy_queue,
+        inject.busy_queue,
         ends(End.ON, End.STOP, End.SELF, note="dropped cycles are tried again"),
         Draw("share", (0.002, 0.15)),
     ),
     *(
         Fault(name, what).by(
-            i.lost_bus,
-            Graded(
-                ((0, ends(End.STOP, End.SELF, no_torque_ms=0, safe_ms=3000 + 200, note=BUS_LOST)), (100, SILENT_OURS)),
-                "gone",
-            ),
+            inject.lost_bus,
+            Graded(((0, ends(End.STOP, End.SELF, note=BUS_LOST)), (100, SILENT_OURS)), "gone"),
             Draw("gone", (1, 45), (130, 3000)),
             Draw("why", why),
         )

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from fsai_hil.evidence.campaign.demands import Params
+from fsai_hil.evidence.campaign.endings import Params
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import (
     Changed,
@@ -566,4 +566,3 @@ def busy_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
 def lost_bus(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
     rig.computer.lose_bus(p["why"], now_ns, now_ns + p["gone"] * MS)
-    rig.wire.on_bus_lost()

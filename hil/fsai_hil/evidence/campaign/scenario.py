@@ -108,7 +108,7 @@ class Scenario:
             since_ns = moment_ns(rig, case.since)
             if since_ns is not None and now_ns - since_ns >= case.after_ms * MS:
                 self.fault_ns = now_ns
-                self.seen.speed_mps = round(rig.world.car.speed_mps, 2)
+                self._observer.fault_begins()
                 self._left_course = rig.world.run.judge.verdict().off_course
                 case.kind.begin(self._fault, rig, case.params, now_ns)
         if self.fault_ns is not None:
@@ -119,7 +119,7 @@ class Scenario:
                 self.fault_over_ns = now_ns
                 self._fault.end.close()
         rig.step()
-        self._observer.look()
+        self._observer.look(self.fault_ns)
 
     @property
     def over(self) -> bool:
@@ -155,7 +155,7 @@ class Scenario:
         if now_ns >= end_ns + AFTERMATH_MS * MS:
             return True
         clear_ms = DRIVING_MS if self._duration_ms is not None else DRIVING_ALONG_MS
-        return now_ns >= end_ns + clear_ms * MS and bool(self.seen.cycles) and self.seen.cycles[-1].torque_nm > 0.0
+        return now_ns >= end_ns + clear_ms * MS and max(self.rig.wire.seen.torque_nm) > 0.0
 
     def verdict(self) -> CaseVerdict:
         rig, seen = self.rig, self.seen

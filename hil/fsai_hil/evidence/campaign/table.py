@@ -14,19 +14,19 @@ from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
 from fsai_hil.evidence.work import Header
 
-Run = Mapping[str, Any]
+RunLine = Mapping[str, Any]
 HEAD: Final = (
-    "| fault | what it is | reaction demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
+    "| fault | what it is | end demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
     " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
 )
 LISTED: Final = 40  # failures
 
 
-def failures(runs: Sequence[Run]) -> list[Run]:
+def failures(runs: Sequence[RunLine]) -> list[RunLine]:
     return [run for run in runs if run["verdict"] != "ok"]
 
 
-def command_of(header: Header, runs: Sequence[Run]) -> str:
+def command_of(header: Header, runs: Sequence[RunLine]) -> str:
     """The command that makes this record."""
     full = sum(run["full"] for run in runs)
     words = [f"fsai-vcu campaign --runs {len(runs) - full} --full {full} --seed {header['seed']}"]
@@ -42,7 +42,7 @@ def command_of(header: Header, runs: Sequence[Run]) -> str:
     return " ".join(words)
 
 
-def markdown(header: Header, runs: Sequence[Run]) -> str:
+def markdown(header: Header, runs: Sequence[RunLine]) -> str:
     """The whole document."""
     command = command_of(header, runs)
     short = [run for run in runs if not run["full"]]
@@ -59,8 +59,8 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         f" {len(short)} of {header['window_ms'] / 1000:g} s from a snapshot in AS_DRIVING,"
         f" {len(full)} from power-up to the end;"
         f" {len(kinds)} kinds of fault, {simulated_h:.1f} simulated hours. In each run one fault begins at a random"
-        " moment; every frame of it is checked against the safety rules by a checker that does not know the bridge,"
-        " and its end against the reaction which the rules demand.",
+        " moment; the checker of the rules, which stands beside the CAN loop and does not know its decisions, judges"
+        " every frame and every reaction by its time, and the catalogue says how each fault must end.",
         "",
         f"Sources (a digest of all code that a run uses, and of the signal databases): `{header['sources']}`.",
         "",
@@ -72,8 +72,8 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         "- *To a safe state*: until the car truly stands or its EBS acts; where it drives on, until torque was 0.",
         "- Times in milliseconds. *Left the course* counts runs in which all four wheels did after the fault: no rule"
         " on the bus forbids it, and where the fault must change nothing it is worse than allowed.",
-        "- *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus, a process of this"
-        " software that ended by an exception, and a car that stops although the rules let it drive on.",
+        "- *Worse than allowed* counts a wrong end, one that comes late, a broken rule (a late reaction is one), a"
+        " process of this software that ended by an exception, and a stop although the rules let the car drive on.",
         "- Runs in which the mission was over before a reaction could be demanded are counted, and judged by the rules"
         " on the bus only.",
         "",
@@ -117,7 +117,7 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
-def _row(name: str, runs: Sequence[Run]) -> str:
+def _row(name: str, runs: Sequence[RunLine]) -> str:
     kind = KINDS[name]
     applied = [run for run in runs if run["applies"]]
     reactions = [run["reaction_ms"] for run in applied if run["reaction_ms"] is not None]
@@ -130,17 +130,17 @@ def _row(name: str, runs: Sequence[Run]) -> str:
     )
 
 
-def _left(runs: Sequence[Run]) -> int:
+def _left(runs: Sequence[RunLine]) -> int:
     return sum(run["off_course"] > 0 for run in runs)
 
 
-def _seen(runs: Sequence[Run]) -> str:
+def _seen(runs: Sequence[RunLine]) -> str:
     return _counted(
         "mission over before" if not run["applies"] and run["end"] == "ON" else run["reaction"] for run in runs
     )
 
 
-def _ends(runs: Sequence[Run]) -> str:
+def _ends(runs: Sequence[RunLine]) -> str:
     return _counted("drives to its end" if run["end"] == "ON" else run["reaction"] for run in runs)
 
 
@@ -148,7 +148,7 @@ def _counted(words: Iterable[str]) -> str:
     return ", ".join(f"{one} ({count})" for one, count in Counter(words).most_common())
 
 
-def _phase(run: Run) -> str:
+def _phase(run: RunLine) -> str:
     if run["since"] == "driving":
         return "AS_DRIVING" if run["after_ms"] >= 3000 else "first 3 s of AS_DRIVING"
     return {"start": "power-up", "ready": "AS_READY", "finished": "after the end"}[run["since"]]

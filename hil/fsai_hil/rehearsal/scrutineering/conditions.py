@@ -22,7 +22,7 @@ class Load(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class LoadCondition:
     """One row of the report."""
 
     name: str
@@ -51,16 +51,16 @@ _LOADS: dict[str, tuple[Load, ...]] = {
 }
 _WATCHED: dict[str, tuple[Load, ...]] = {"-pitwall": (Load.PIT_WALL,), "-pitwall-ros": (Load.PIT_WALL_ROS,)}
 
-CONDITIONS: tuple[Condition, ...] = (
-    *(Condition(f"idle{name}", AsState.AS_OFF, load) for name, load in (_LOADS | _WATCHED).items()),
-    Condition("standing", AsState.AS_READY),
-    *(Condition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in _LOADS.items()),
+CONDITIONS: tuple[LoadCondition, ...] = (
+    *(LoadCondition(f"idle{name}", AsState.AS_OFF, load) for name, load in (_LOADS | _WATCHED).items()),
+    LoadCondition("standing", AsState.AS_READY),
+    *(LoadCondition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in _LOADS.items()),
 )
 BY_NAME = {condition.name: condition for condition in CONDITIONS}
 SHORT = ("idle", "idle-loaded")  # what needs no drive
 
 
-def conditions_named(names: Sequence[str]) -> tuple[Condition, ...]:
+def conditions_named(names: Sequence[str]) -> tuple[LoadCondition, ...]:
     """In the order of the table: the car comes on and never goes back. Raises WrongUse for an unknown name, or none."""
     unknown = [name for name in names if name not in BY_NAME]
     if unknown or not names:

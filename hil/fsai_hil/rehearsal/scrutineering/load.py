@@ -20,7 +20,7 @@ from pathlib import Path
 from selectors import EVENT_READ, DefaultSelector
 from typing import Final
 
-from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load
+from fsai_hil.rehearsal.scrutineering.conditions import Load, LoadCondition
 from fsai_hil.rehearsal.stack import Stack, StackError
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 
@@ -68,7 +68,7 @@ def fill_frames_per_s(car_bits: float) -> float:
 
 @contextmanager
 def loaded(
-    stack: Stack, condition: Condition, disk_file: Path, car_bits: float, *, force_disk: bool = True
+    stack: Stack, condition: LoadCondition, disk_file: Path, car_bits: float, *, force_disk: bool = True
 ) -> Iterator[None]:
     """The condition's load, while inside; returns once it works.
 

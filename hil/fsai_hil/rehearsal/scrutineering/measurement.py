@@ -27,7 +27,7 @@ from typing import Any
 
 from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, conditions_named
+from fsai_hil.rehearsal.scrutineering.conditions import Load, LoadCondition, conditions_named
 from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, LoadNotStarted, car_bits_per_s, loaded
 from fsai_hil.rehearsal.scrutineering.machine import machine, scheduling_of
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack, StackError, await_condition
@@ -85,7 +85,7 @@ class Measurement:
         self._monitor: StallMonitor
         self._operator: RosOperator
 
-    def run(self, conditions: Sequence[Condition]) -> dict[str, Any]:
+    def run(self, conditions: Sequence[LoadCondition]) -> dict[str, Any]:
         """Everything measured, for JSON."""
         self._folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="scrutineering-") as memory:
@@ -102,7 +102,7 @@ class Measurement:
                 for path in sorted(folder.glob("*.log")):
                     shutil.copyfile(path, self._folder / path.name)
 
-    def _measure_peer(self, conditions: Sequence[Condition]) -> None:
+    def _measure_peer(self, conditions: Sequence[LoadCondition]) -> None:
         """The C loop in AS_OFF, under each load that is asked for: it drives nothing."""
         program = str(self._stack.folder / _PEER)
         try:
@@ -116,7 +116,7 @@ class Measurement:
         await_condition(lambda: _state_of(car) == AsState.AS_OFF.label, POWER_UP_S, "AS_OFF with the C loop")
         loads = list(dict.fromkeys(condition.load for condition in conditions))
         for number, load in enumerate(loads, start=1):
-            condition = Condition(_of_peer(load), AsState.AS_OFF, load)
+            condition = LoadCondition(_of_peer(load), AsState.AS_OFF, load)
             _say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
             self._try_to_measure(condition, (_PEER,), lambda: (_state_of(car), ""))
         self._end_car()
@@ -124,7 +124,7 @@ class Measurement:
         peer.stop()
         del self._stack.processes[_PEER]
 
-    def _measure_all(self, conditions: Sequence[Condition]) -> dict[str, Any]:
+    def _measure_all(self, conditions: Sequence[LoadCondition]) -> dict[str, Any]:
         """Measure one condition after another on the running bridge; return the facts of all."""
         _say("starting the bridge")
         self._stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
@@ -164,7 +164,7 @@ class Measurement:
             "not_measured": not_measured,
         }
 
-    def _row(self, condition: Condition) -> dict[str, Any]:
+    def _row(self, condition: LoadCondition) -> dict[str, Any]:
         found, peer = self._found[condition.name], self._found[_of_peer(condition.load)]
         return {
             **found,
@@ -255,20 +255,20 @@ class Measurement:
 
     # ------------------------------------------------------------ one condition
 
-    def _leave_out(self, condition: Condition, why: str) -> None:
+    def _leave_out(self, condition: LoadCondition, why: str) -> None:
         """Leave a condition out with the reason: what has been measured is worth its report all the same."""
         self._not_measured[condition.name] = why
         _say(f"    not measured: {why}")
 
     def _try_to_measure(
-        self, condition: Condition, watched: Sequence[str], state: Callable[[], tuple[str, str]]
+        self, condition: LoadCondition, watched: Sequence[str], state: Callable[[], tuple[str, str]]
     ) -> None:
         try:
             self._measure(condition, watched, state)
         except LoadNotStarted as error:
             self._leave_out(condition, str(error).splitlines()[0])
 
-    def _measure(self, condition: Condition, watched: Sequence[str], state: Callable[[], tuple[str, str]]) -> None:
+    def _measure(self, condition: LoadCondition, watched: Sequence[str], state: Callable[[], tuple[str, str]]) -> None:
         """`watched`: processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
         car = self._car
         assert car is not None
