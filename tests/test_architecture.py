@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -237,7 +236,11 @@ def named_tests() -> dict[str, list[str]]:
     """The names of the test functions of each test file, as often as they are defined."""
     tests = CHECKOUT / "tests"
     return {
-        str(path.relative_to(tests)): re.findall(r"^ *(?:async )?def (test_\w*)", path.read_text(), re.MULTILINE)
+        str(path.relative_to(tests)): [
+            node.name
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
+        ]
         for path in tests.rglob("test_*.py")
     }
 

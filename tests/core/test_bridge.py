@@ -349,6 +349,21 @@ def test_an_unknown_as_state_takes_torque_away_at_once() -> None:
     assert rig.sent.torque_requested and rig.report.reasons == () and rig.report.stopping is None
 
 
+def test_an_as_state_that_flickers_gives_no_torque() -> None:
+    rig = driven()
+
+    def flicker(rig: Rig) -> None:
+        if rig.now_ns // CYCLE % 2:
+            unknown_state(rig)
+
+    rig.alive = flicker
+    rig.step(2)
+    since_ns = rig.now_ns
+    rig.run_ms(1000)
+    assert not any(asked.torque_requested for t_ns, asked in rig.log if t_ns > since_ns)
+    assert rig.report.reason_counts == {"as_state_unknown": 1} and rig.report.emergency is None
+
+
 @pytest.mark.parametrize("raw", [5, 9, 15])
 @pytest.mark.parametrize(("name", "byte", "shift"), [("OP_STATE", 0, 4), ("TS_STATE", 3, 4), ("EBS_STATE", 4, 4)])
 def test_a_state_of_fault_or_of_no_table_stops_the_car(name: str, byte: int, shift: int, raw: int) -> None:
