@@ -216,7 +216,7 @@ def test_operational_limits_are_never_exceeded() -> None:
     lockstep.computer.command_filter = wild
     drive_until(lockstep, 0.0)
     asked: list[tuple[float, float, float]] = []
-    until_ns = lockstep.now_ns + 8 * S
+    until_ns = lockstep.now_ns + 12 * S
     while lockstep.now_ns < until_ns:
         lockstep.step()
         sent = lockstep.bridge.report(lockstep.now_ns).command

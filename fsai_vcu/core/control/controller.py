@@ -299,12 +299,12 @@ class Controller:
         doubted_m, began_mps = self._doubted
         rolling = began_mps**2 - 2.0 * IN_DOUBT_MPS2 * (seen_from_m + line.along_m - here - doubted_m)
         ceiling = np.minimum(np.maximum((allowed * max(sure, 0.3)) ** 2, rolling), allowed**2)
-        # The front wheels can stop on what cones bear out.
-        seen_m = here + plan.supported_m - self._car.wheelbase_m - line.along_m
-        ceiling = np.minimum(ceiling, np.maximum(2.0 * settings.braking_max_mps2 * seen_m, FEEL_ITS_WAY_MPS**2))
         known = plan.mapped or plan.mission in PRESET
         lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
-        return speed_profile(
+        # The front wheels can stop on what cones bear out.
+        seen_m = here + plan.supported_m - self._car.wheelbase_m - line.along_m
+        within_sight = np.maximum(2.0 * settings.stopping_mps2 * seen_m, FEEL_ITS_WAY_MPS**2)
+        profile = speed_profile(
             line.curvature_1pm,
             ceiling,
             (end_m, 0.0 if stops else settings.end_of_path_mps * sure),
@@ -312,6 +312,8 @@ class Controller:
             (lateral, settings.race_braking_mps2 if known else settings.braking_mps2, settings.stopping_mps2),
             STEER_RATE_SHARE * self._car.steer_rate_radps / self._car.wheelbase_m,
         )
+        slower: Floats = np.minimum(profile, within_sight)
+        return slower
 
     def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
         """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance until then (m).
