@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from fsai_hil.evidence.campaign.demands import End, Onset
+from fsai_hil.evidence.campaign.endings import End
 from fsai_hil.evidence.campaign.scenario import Scenario
 from fsai_hil.evidence.campaign.verdict import CaseVerdict
 from fsai_vcu.core.report import BridgeReport
@@ -97,8 +97,8 @@ class ScenarioNarrator:
     def _times(self, verdict: CaseVerdict) -> str:
         """The times of the reactions, from the zero from which the demanded ones count, in the same words."""
         case = self.scenario.case
-        onset = case.kind.must.demand(case.params).onset if verdict.applies else Onset.FAULT
-        both = verdict.end is End.ESTOP and onset is not Onset.FAULT
+        late = verdict.applies and case.kind.must.of_drawn(case.params).shows_late and verdict.onset_ms is not None
+        both = verdict.end is End.ESTOP and late
         named = (
             ("service brake", verdict.brake_ms if both else None),
             (FIRST.get(verdict.end, "torque 0"), verdict.reaction_ms),
@@ -107,5 +107,5 @@ class ScenarioNarrator:
         times = ", ".join(f"{what} after {ms:.0f} ms" for what, ms in named if ms is not None)
         if not times:
             return ""
-        since = "" if onset is Onset.FAULT else f" of {onset.value}, at {verdict.onset_ms:+.0f} ms"
+        since = f" of when it was certainly implausible, at {verdict.onset_ms:+.0f} ms" if late else ""
         return f" ({times}{since})"
