@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if sources.live:
         raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record {sources.name} makes one)")
     if args.output.suffix == ".html":
-        page = vars(args) | {"sources": logs, "signals": ",".join(signals), "seconds": None}
+        page = vars(args) | {"sources": logs, "signals": ",".join(signals), "seconds": None, "json": False}
         return report.run(argparse.Namespace(**page))
     sources.check_output(args.output)
     frames = sources.everything()

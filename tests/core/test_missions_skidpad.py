@@ -86,7 +86,7 @@ def test_a_lane_alone_does_not_say_where_the_circles_are(x_m: float) -> None:
     assert found.pose[1:] == pytest.approx(there[1:], abs=0.02)
 
 
-def test_the_circles_are_no_further_off_than_the_way_left_to_them() -> None:
+def test_the_circles_are_no_further_off_than_the_lane_in_allows() -> None:
     """A car that has passed the crossing sees a ring of cones, and must not take it for the one ahead."""
     xy = seen_from(np.array([-10.2, 0.0, 0.0]), CONES)
     once = search_skidpad(COURSE, staged(Motion()), xy, lane_in_m=5.0)

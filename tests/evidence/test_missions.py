@@ -47,7 +47,7 @@ def test_a_failed_run_is_named_and_is_the_status(tmp_path: Path, capsys: pytest.
     assert "acceleration, acceleration, noise, seed 2: off course once" in document
 
 
-def test_a_car_that_stops_in_its_lane_with_a_hard_sensor_has_not_failed(
+def test_a_stop_in_the_lane_with_a_hard_sensor_is_no_failure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = recorded(tmp_path, run(1, "hard", "stopped"), run(2, "hard"))

@@ -87,7 +87,7 @@ def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys:
     assert "bridge: AS_DRIVING, torque 0 until what is stale is fresh again" in printed
     assert "bridge stops the car because the vehicle command is stale" in printed
     assert "car: AS_FINISHED (mission FINISHED at rest)" in printed
-    assert re.search(r"seen: service-brake stop, FINISHED \(service brake after 3\d\d ms, safe after \d+ ms\)", printed)
+    assert re.search(r"seen: service-brake stop, FINISHED \(service brake after \d+ ms, safe after \d+ ms\)", printed)
 
 
 def test_the_catalogue_is_listed_for_people(capsys: pytest.CaptureFixture[str]) -> None:

@@ -133,17 +133,17 @@ class Outer(Value, frozen=True):
     latch: Annotated[Latch | None, Within(since_ns=Ages("stop_window_ns"))] = None
 
 
-def test_a_new_time_that_does_not_say_when_it_matters_fails_with_the_file_to_change() -> None:
+def test_a_time_without_its_ages_fails_with_the_file_to_change() -> None:
     with pytest.raises(ValueError, match=r"test_search\.py: Later\.odd_since_ns is a time"):
         Clocks(Later)
 
 
-def test_a_declaration_for_a_field_that_does_not_exist_is_refused() -> None:
+def test_a_declaration_for_a_field_that_is_not_there_is_refused() -> None:
     with pytest.raises(ValueError, match="Latch has no until_ns"):
         Clocks(Latch, {"until_ns": Ages()})
 
 
-def test_times_within_values_are_taken_out_by_their_declarations_and_put_back() -> None:
+def test_times_within_values_are_taken_out_and_put_back() -> None:
     clocks = Clocks(Outer)
     value = Outer(Timed(status_ns=NOW - 7, odd_since_ns=NOW - 3, noted_ns=5), Latch(Asked.MANUAL, NOW - 1))
     ages: list[int] = []
@@ -159,7 +159,7 @@ def test_times_within_values_are_taken_out_by_their_declarations_and_put_back() 
     assert len(missing) == len(ages)
 
 
-def test_every_time_of_the_bridges_state_is_declared_with_ages_that_the_configuration_has() -> None:
+def test_each_time_of_the_state_has_ages_of_the_configuration() -> None:
     edges = edges_of(Clocks(BridgeState), BridgeConfig())
     assert len(edges) > 20
     assert sum(not any(ages) for ages in edges) == 1  # of the gate's last cycle no age matters
@@ -173,7 +173,7 @@ NO_AGES = {
 }
 
 
-def test_every_time_of_the_configuration_is_an_age_of_some_time_of_the_state() -> None:
+def test_each_time_of_the_configuration_is_an_age_in_the_state() -> None:
     """A reaction that comes after a new time, and whose state does not say so, would be searched at no edge of it."""
     declared = {
         name for ages in Clocks(BridgeState).ages for at in (*ages.at, *ages.gap) for name in str(at).split(" + ")

@@ -193,7 +193,7 @@ def test_a_reaction_to_what_shows_late_is_timed_from_then_on(certain_ms: tuple[i
     assert judge(case("steering_stuck_rack"), seen, FAULT_NS, ()).reaction_ms == reaction_ms
 
 
-def test_reactions_to_what_is_certainly_wrong_are_timed_from_one_zero() -> None:
+def test_reactions_to_what_shows_late_are_timed_from_one_zero() -> None:
     reacts = {**emergency(610, 620), "brake_from_ms": 310, "torque_until_ms": 310}
     seen = observed(**reacts, certain_ms=(100,))
     verdict = judge(case("steering_stuck_rack"), seen, FAULT_NS, ())

@@ -111,12 +111,13 @@ LONG = ("autocross", "trackdrive")  # a lap is driven on vcan0, and with example
 
 @cache
 def driven(name: str) -> tuple[Lockstep, LockstepResult, list[tuple[float, VehicleCommand]]]:
-    """A drive to its end, its result, and the commands in AS_DRIVING with the place of the rear axle, m."""
+    """A drive to its end, its result, and the first mission's commands in AS_DRIVING with the rear axle's place, m."""
     case, commands = PASSES[name], []
     lockstep = Lockstep(case.setup)
 
     def watch(command: VehicleCommand, _now_ns: int) -> VehicleCommand:
-        if lockstep.world.vcu.state is AsState.AS_DRIVING:
+        vcu = lockstep.world.vcu
+        if vcu.state is AsState.AS_DRIVING and not vcu.power_cycles:
             commands.append((lockstep.world.car.pose.x_m, command))
         return command
 

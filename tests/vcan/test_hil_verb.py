@@ -61,7 +61,7 @@ def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlac
     assert place.options["timeout_s"] == 30.0 * place.options["pace"], "by the clock inside"
 
 
-def test_an_option_that_pytest_refuses_is_answered_before_a_kernel_boots(
+def test_an_option_that_pytest_refuses_is_answered_at_once(
     place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["hil", "--no-such-option", "--results", str(tmp_path)]) == 2

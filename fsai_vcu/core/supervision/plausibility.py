@@ -86,9 +86,7 @@ class WheelCheck(Value, frozen=True):
     detail: str = ""
     spin_until_ns: Annotated[int, CHOSEN] = 0  # torque so recently explains a driven wheel that is too fast
     lock_until_ns: Annotated[int, CHOSEN] = 0  # brake so recently explains any wheel that is too slow
-    drag_until_ns: Annotated[int, CHOSEN] = (
-        0  # a motor held by its speed limit explains a driven wheel that is too slow
-    )
+    drag_until_ns: Annotated[int, CHOSEN] = 0  # a motor at its speed limit explains a driven wheel that is too slow
     doubted_since_ns: Annotated[int | None, CHOSEN] = None  # no reading has been believed since
 
 

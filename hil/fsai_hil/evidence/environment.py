@@ -140,7 +140,7 @@ MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
     "TS_STATE becomes FAULT": {"ts_state": TsState.TS_FAULT},
     "OP_STATE becomes FAULT": {"op_state": OpState.OP_FAULT},
 }
-"""What 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
+"""Marks that 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
 _BITS: Final = m.Faults.__struct_fields__
 _IDS: Final[Mapping[type, int]] = {
     kind: can_id

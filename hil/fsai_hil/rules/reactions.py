@@ -17,7 +17,7 @@ from fsai_vcu.interface.enums import Ami, AsState
 
 
 class Lasting(NamedTuple):
-    """What stops a run once it has lasted for so long, and asks for the emergency brake once for longer."""
+    """A condition that stops a run once it has lasted for so long, and asks for the emergency brake once for longer."""
 
     what: str
     lasts_ns: Callable[[Reactions], int]  # below 0 where it is not there
@@ -188,7 +188,7 @@ AT_ONCE: Final[tuple[tuple[str, Callable[[Reactions], bool]], ...]] = (
     ("FAULT_STATUS is 1", lambda v: v.seen.fault),
     ("the software was stopped", lambda v: v.seen.ended is not None),
 )
-"""What stops a run in the cycle in which it is seen."""
+"""Conditions that stop a run in the cycle in which they are seen."""
 
 STALE: Final = n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS
 ODD: Final = n.ODD_NS, n.ODD_LOST_NS

@@ -15,7 +15,7 @@ from fsai_vcu.interface.messages import AiCommand
 
 
 def process_of(config: BridgeConfig, **known: bool) -> Process:
-    """What the rules name of a configuration; `known`: what else the checker can rely on."""
+    """The part of a configuration that the rules name; `known`: what else the checker can rely on."""
     return Process(
         listen_only=config.listen_only,
         autonomous_at_power_up=config.autonomous_at_power_up,

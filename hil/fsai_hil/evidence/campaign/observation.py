@@ -22,7 +22,7 @@ MOVING_MPS: Final = 0.25
 
 @dataclass(slots=True)
 class Observation:
-    """What was seen, on the bus since the fault where there was one. Times are the run's own, in ns; None: never."""
+    """A run as it was seen, on the bus since the fault where there was one; times are its own, in ns; None: never."""
 
     states: list[tuple[int, AsState]] = field(default_factory=list)  # true AS states and when they began
     had_torque: bool = False  # before the fault
@@ -58,12 +58,13 @@ class Observer:
         self._next_ns = rig.now_ns
 
     def fault_begins(self) -> None:
-        """What was on the bus until now is before the fault."""
+        """Forget what was on the bus until now: it is before the fault."""
         seen = self.seen
         seen.estop_ns = seen.finished_ns = seen.pause_ns = seen.idle_ns = seen.braking_ns = None
         seen.speed_mps = round(self._rig.world.car.speed_mps, 2)
 
     def look(self, fault_ns: int | None) -> None:
+        """Look at the bus and the car once; fault_ns: when the fault began, None before it."""
         rig, seen = self._rig, self.seen
         seen.ended_ns = now_ns = rig.now_ns
         if rig.wire.cycles != self._cycles:
