@@ -105,8 +105,8 @@ def search_skidpad(
 ) -> SkidpadState:
     """The state with the car where it must be on the way in to see these cones (vehicle frame).
 
-    `lane_in_m`: how far ahead the circles may be at most, by how far the car has come. Found is what two looks in a row agree
-    on. The lane alone does not say where along it the car is: it is only followed then.
+    `lane_in_m`: how far ahead the circles may be at most, by how far the car has come. Found is what two looks in a
+    row agree on. The lane alone does not say where along it the car is: it is only followed then.
     """
     along = SEARCH_X_M[-lane_in_m <= SEARCH_X_M]
     if len(xy_m) < LANE_CONES_MIN or not len(along):
