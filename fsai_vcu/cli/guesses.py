@@ -12,7 +12,7 @@ _MOST: Final = 3
 _SHORTEST: Final = 3  # letters of a word that is looked for in what the verbs do
 
 MEANT: Final[Mapping[str, str]] = {
-    "emergency-brake": "stop estop e-stop brake halt abort kill ebs emergency",
+    "emergency-brake": "stop estop e-stop brake halt abort kill ebs emergency panic shutdown cancel",
     "drive": "sim simulation simulator demo run start mission missions acceleration skidpad autocross trackdrive "
     "fault faults inject film gif",
     "track": "map circuit course cones",
@@ -59,6 +59,6 @@ def meant(word: str, verbs: Mapping[str, tuple[str, str, str]]) -> list[str]:
     if len(sought) >= _SHORTEST and 0 < len(told) <= _MOST:
         return told
     near = get_close_matches(sought, {*verbs, *(each for words in guesses.values() for each in words)}, _MOST, _LIKE)
-    return list(dict.fromkeys(verb for each in near for verb in verbs if each in (verb, *guesses.get(verb, ()))))[
-        :_MOST
-    ]
+    in_order = {**guesses, **verbs}
+    found = (verb for each in near for verb in in_order if each in (verb, *guesses.get(verb, ())))
+    return list(dict.fromkeys(found))[:_MOST]

@@ -10,8 +10,8 @@ from fsai_vcu.interface.values import Value
 class Finding(Value, frozen=True):
     """A problem makes the verdict bad; "right" is what was looked at and is in order.
 
-    `kind`: what it is about, in a word. `t_ns`: its moment; None: it is about the whole. `lasts_ns`: of a pause, from
-    that moment on. `remedy`: what to do.
+    `kind`: what it is about, in a word. `t_ns`: its moment; None: it is about the whole. `silent_ns`: from when to
+    when something was missing, of a pause and of answers that never came. `remedy`: what to do.
     """
 
     severity: Literal["problem", "note", "right"]
@@ -21,4 +21,4 @@ class Finding(Value, frozen=True):
     t_ns: int | None = None
     can_ids: tuple[int, ...] = ()
     channel: str = ""
-    lasts_ns: int = 0
+    silent_ns: tuple[tuple[int, int], ...] = ()

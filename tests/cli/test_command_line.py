@@ -111,7 +111,7 @@ def test_a_task_is_found_by_each_word_that_is_tried_for_it(
         assert verb in said.partition("did you mean ")[2].rstrip("?\n").split(" or "), (task, said)
 
 
-@pytest.mark.parametrize("word", ["stop", "estop", "e-stop", "brake", "braek", "halt", "abort"])
+@pytest.mark.parametrize("word", ["stop", "sotp", "stopp", "estop", "e-stop", "brake", "braek", "halt", "panic"])
 def test_who_wants_to_brake_is_not_sent_elsewhere_first(word: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([word]) == 2
     assert "did you mean emergency-brake" in capsys.readouterr().err

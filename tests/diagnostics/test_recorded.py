@@ -12,9 +12,11 @@ from story_runs import branch, driving
 
 from fsai_hil.simulator.faults import Drop
 from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.recorded import Recorded, note_stalls, recorded
+from fsai_vcu.diagnostics.verdict.own_faults import of_the_recording
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
 
@@ -112,6 +114,15 @@ def test_a_stall_explains_a_pause_that_is_as_long(
     out = told(capsys, "check", str(written(tmp_path, frames, stood_still_ns=stalls)))
     assert f"verdict: {verdict}" in out and ("problem: " in out) == (verdict == "NOT OK")
     assert ("this run is not judged" in out) == (verdict == "UNKNOWN")
+
+
+def test_stalls_a_minute_apart_explain_the_answers_missed_in_each() -> None:
+    """No stall lasts from the first of them to the last."""
+    missed_ns = tuple((t_ns, t_ns + 100 * MS) for t_ns in (20 * MS, 60 * S + 20 * MS))
+    finding = Finding("problem", "handshake", "2 handshakes without an answer", silent_ns=missed_ns)
+    stalls_ns = (0, 200 * MS), (60 * S, 60 * S + 200 * MS)
+    assert of_the_recording(finding, Recorded(stalls_ns=stalls_ns))
+    assert not of_the_recording(finding, Recorded(stalls_ns=stalls_ns[:1]))
 
 
 @pytest.mark.parametrize("bus", ["loopback:fsai", "vcan0"])

@@ -40,7 +40,8 @@ def observed(
 
     history = [(FAULT_NS + driving_from_ms * MS, AsState.AS_DRIVING)]
     memory = SimpleNamespace(torque_nm=(0.0, 0.0), brake_pct=(0.0, 0.0))
-    wire = SimpleNamespace(cycles=0, ai=AiStatus(), seen=memory, certain_ns=[FAULT_NS + ms * MS for ms in certain_ms])
+    certain_ns = {FAULT_NS + ms * MS: FAULT_NS + (ms + 20) * MS for ms in certain_ms}
+    wire = SimpleNamespace(cycles=0, ai=AiStatus(), seen=memory, certain_ns=certain_ns)
     truth = SimpleNamespace(speed_mps=5.0, wheel_rpm=(0.0,) * 4)
     car = SimpleNamespace(speed_mps=5.0, truth=lambda: truth)
     run = SimpleNamespace(judge=SimpleNamespace(ends_in=AsState.AS_FINISHED))
@@ -191,6 +192,19 @@ def test_a_fault_never_injected_does_not_excuse_a_moving_car() -> None:
 def test_a_reaction_to_what_shows_late_is_timed_from_then_on(certain_ms: tuple[int, ...], reaction_ms: int) -> None:
     seen = observed(**STOPPED, **FINISHED, certain_ms=certain_ms)
     assert judge(case("steering_stuck_rack"), seen, FAULT_NS, ()).reaction_ms == reaction_ms
+
+
+@pytest.mark.parametrize(("brake_ms", "fault"), [(130, ""), (150, "the service brake came 150 ms after the fault")])
+def test_a_stop_for_a_fault_before_the_bridge_is_due_in_time(brake_ms: int, fault: str) -> None:
+    """The checker times what the bridge is given; a plan that is late to say that the mission is over is not seen."""
+    seen = observed(**{**STOPPED, **FINISHED, "brake_from_ms": brake_ms, "torque_until_ms": brake_ms})
+    found = judge(case("planner_finishes_early"), seen, FAULT_NS, ()).faults
+    assert not found if not fault else found and found[0].startswith(fault)
+
+
+def test_a_brake_that_comes_with_finished_is_the_reaction() -> None:
+    seen = observed(brake_from_ms=100, finished_from_ms=100, rest_from_ms=0, then=(110, AsState.AS_FINISHED))
+    assert judge(case("planner_finishes_early"), seen, FAULT_NS, ()).reaction_ms == 100
 
 
 def test_reactions_to_what_shows_late_are_timed_from_one_zero() -> None:

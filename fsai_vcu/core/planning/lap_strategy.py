@@ -78,7 +78,7 @@ class LapStrategy:
         else:
             course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
-            free, blocked = free_of_cones(course, sure_xy_m)
+            free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
             notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, course.note)
             course = replace(course, confidence=clear * free * course.confidence, note="; ".join(filter(None, notes)))
         self._count(cones, course.path_m, here)

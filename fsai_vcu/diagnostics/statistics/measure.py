@@ -128,7 +128,7 @@ class Handshake:
     response_ms: TimeSpread
     above_100_ms: int  # answers that took as long, or longer
     missed_at_s: float | None  # the first toggle of either kind
-    missed_last_s: float | None  # and the last one
+    missed_s: tuple[float, ...]  # and each of them
     echoes: int  # 0x510 that were held against the bit of the last 0x520
     wrong: int  # of them, those with another bit
     fault: EchoFault | None  # what that is, where it is nearly always so
@@ -404,15 +404,15 @@ def handshake_of(frames: Frames, decoder: Decoder, off_ns: Sequence[tuple[int, i
     unanswered = ~in_time & (np.minimum(first_ns, asked_ns[-1]) - toggle_ns >= COMMS_LOST_NS)
     late = in_time & (first_ns - toggle_ns >= COMMS_LOST_NS)
     missed_ns = toggle_ns[unanswered | late]
-    first_s, last_s = (int(missed_ns[at]) / S if len(missed_ns) else None for at in (0, -1))
+    missed_s = tuple(int(t_ns) / S for t_ns in missed_ns)
     echoes = echoes_of(asked_ns, asked_bits, answer_ns, answer_bits)
     return Handshake(
         len(waited),
         int(unanswered.sum()),
         TimeSpread.of(np.sort(waited)),
         int(late.sum()),
-        first_s,
-        last_s,
+        missed_s[0] if missed_s else None,
+        missed_s,
         echoes.judged,
         echoes.wrong,
         echoes.fault,

@@ -142,13 +142,13 @@ class _Judge:
         ids: int | tuple[int, ...] = (),
         t_s: float | None = None,
         remedy: str = "",
-        lasts_ns: int = 0,
+        silent_ns: tuple[tuple[int, int], ...] = (),
     ) -> Finding:
         """Make a finding; `remedy`: its place in the table, where it is not the kind."""
         t_ns = None if t_s is None else round(t_s * S)
         to_do = remedy_of(remedy or kind, self.known.setting) if grave else ""
         can_ids = (ids,) if isinstance(ids, int) else ids
-        return Finding("problem" if grave else "note", kind, words, to_do, t_ns, can_ids, self.bus.channel, lasts_ns)
+        return Finding("problem" if grave else "note", kind, words, to_do, t_ns, can_ids, self.bus.channel, silent_ns)
 
     def _times(self) -> Iterator[Finding]:
         bus = self.bus
@@ -205,8 +205,8 @@ class _Judge:
             text = (
                 f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"
             )
-            lasts_ns = round((handshake.missed_last_s or 0.0) * S) - round(missed_ns) + COMMS_LOST_NS
-            yield self._finding(True, "handshake", text, 0x510, handshake.missed_at_s, lasts_ns=lasts_ns)
+            silent_ns = tuple((round(t_s * S), round(t_s * S) + COMMS_LOST_NS) for t_s in handshake.missed_s)
+            yield self._finding(True, "handshake", text, 0x510, handshake.missed_at_s, silent_ns=silent_ns)
         elif handshake.response_ms.p99_ms is not None and handshake.response_ms.p99_ms * MS > PERIOD_NS:
             text = f"handshake answered within {handshake.response_ms.p99_ms:.1f} ms (p99): slow"
             yield self._finding(False, "handshake", text, 0x510)
@@ -357,7 +357,8 @@ class _Judge:
             text = f"a pause of {length_ns / MS:.0f} ms of {_whose(ids, messages)}"
             if any(abs(end_ns - begin_ns - length_ns) <= DEAD_NS for end_ns in self.known.perhaps_set_ns):
                 text += ", or the log's clock was set forward"
-        finding = self._finding(grave, "gap", text, ids, begin_ns / S, lasts_ns=length_ns)
+        silent_ns = ((begin_ns, begin_ns + length_ns),)
+        finding = self._finding(grave, "gap", text, ids, begin_ns / S, silent_ns=silent_ns)
         if len(pause) < MANY or len(ids) < messages or not grave:
             return finding
         both = f"{remedy_of('recorder')}; {remedy_of('bus_lost', self.known.setting)}"

@@ -291,10 +291,9 @@ def by_times(finding: Finding) -> bool:
 
 
 def of_the_recording(finding: Finding, recorded: Recorded) -> bool:
-    """True for a finding on gaps of a log whose computer lost frames, or stood still for as long as the gap lasts."""
+    """True for a finding on gaps of a log whose computer lost frames, or stood still for as long as each gap lasts."""
     if finding.kind not in _BY_GAPS:
         return False
-    if recorded.lost or finding.t_ns is None:
-        return bool(recorded.lost)
-    lasts_ns = finding.t_ns, finding.t_ns + finding.lasts_ns
-    return recorded.stall(*lasts_ns) is not None and recorded.explains(*lasts_ns)
+    silent = finding.silent_ns
+    stood_still = bool(silent) and all(recorded.stall(*each) and recorded.explains(*each) for each in silent)
+    return bool(recorded.lost) or stood_still

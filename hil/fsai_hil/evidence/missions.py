@@ -118,7 +118,7 @@ def _line(case: MissionCase, result: LockstepResult, ending: Ending) -> dict[str
     times = verdict.lap_times_s or (verdict.driving_time_s,)
     case = MissionCase(*case.row, case.seed)  # where a track's file lies is of no interest
     line = {**asdict(case), **{key: found[key] for key in kept}, "times_s": [round(time, 3) for time in times]}
-    if ending is Ending.STOPPED:
+    if ending is Ending.STOPPED and result.wire.ok:
         line |= {"result": STOPPED, "reasons": []}
     elif ending is Ending.LEFT:
         line |= {"result": "fail", "reasons": [Ending.LEFT.value], "off_course": 1}

@@ -110,7 +110,7 @@ class BusView:
         self.start_ns: int | None = None
         self.now_ns = 0
         self.as_states: list[tuple[int, AsState]] = []
-        self.certain_ns: list[int] = []  # when steering or a wheel began to be certainly implausible
+        self.certain_ns: dict[int, int] = {}  # from when to when steering or a wheel was certainly implausible
         self.cycles = 0
         self.incomplete = 0
         # of what is judged

@@ -13,10 +13,8 @@ from typing import Final
 from fsai_hil.rules.numbers import MS, S
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
-# The official simulator's steering: 50 ms dead time, 40 deg/s (the true rate was never published), 0.9 deg play.
-_DEAD_NS: Final = 50 * MS
-_RATES_DEGPS: Final = (30.0, 50.0)
-_STEER_SURE_DEG: Final = 0.9 + 2.0 + 0.6
+_RATES: Final = (0.75, 1.25)  # shares of the car's steering rate: of the 2021 and 2026 cars it was never published
+_STEER_SURE_DEG: Final = 2.0 + 0.6  # beyond the car's backlash
 
 _WHEEL_SURE_RPM: Final = 80.0
 _WHEEL_SURE_SHARE: Final = 0.40
@@ -47,6 +45,9 @@ class Plausibility:
     def __init__(self, car: VehicleParameters) -> None:
         """Begin with a car of which nothing is known."""
         self._car = car
+        self._dead_ns = round(car.steer_dead_time_s * S)
+        self._rates_degps = [share * math.degrees(car.steer_rate_radps) for share in _RATES]
+        self._steer_sure_deg = math.degrees(car.steer_backlash_rad) + _STEER_SURE_DEG
         self._driven = (car.driven_front, car.driven_front, car.driven_rear, car.driven_rear)
         self._requests: deque[tuple[int, float]] = deque()
         self._target_deg = self._angle_deg = 0.0
@@ -78,7 +79,7 @@ class Plausibility:
 
     def on_angle(self, deg: float, t_ns: int, *, judges: bool) -> None:
         """Compare a measured angle with where the requests can have brought it."""
-        while self._requests and self._requests[0][0] + _DEAD_NS <= t_ns:
+        while self._requests and self._requests[0][0] + self._dead_ns <= t_ns:
             self._target_deg = self._requests.popleft()[1]
         step_ns, self._angle_ns, self._angle_deg = t_ns - self._angle_ns, t_ns, deg
         if self._band_deg is None or not judges or step_ns > 5 * _GAP_NS:
@@ -86,10 +87,11 @@ class Plausibility:
             return
         slow, fast = (
             max(one - most, min(one + most, self._target_deg))
-            for one, most in zip(self._band_deg, (rate * step_ns / S for rate in _RATES_DEGPS), strict=True)
+            for one, most in zip(self._band_deg, (rate * step_ns / S for rate in self._rates_degps), strict=True)
         )
         self._band_deg = slow, fast
-        if not min(slow, fast) - _STEER_SURE_DEG <= deg <= max(slow, fast) + _STEER_SURE_DEG:
+        sure_deg = self._steer_sure_deg
+        if not min(slow, fast) - sure_deg <= deg <= max(slow, fast) + sure_deg:
             self._steering.extend(t_ns)
 
     def on_speeds(self, rpm: tuple[int, int, int, int], t_ns: int) -> None:

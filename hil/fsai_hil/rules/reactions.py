@@ -138,8 +138,7 @@ class Reactions(BusView):
         t_ns = (plausibility.steering_since if steering else plausibility.wheel_since)(self.now_ns)
         if t_ns is None:
             return -1
-        if t_ns not in self.certain_ns[-2:]:
-            self.certain_ns.append(t_ns)
+        self.certain_ns[t_ns] = self.now_ns
         return self.now_ns - max(t_ns, driving_ns + n.LAUNCH_NS) - n.CERTAINLY_NS
 
     def _look_at_wishes(self, launched_ns: int) -> None:

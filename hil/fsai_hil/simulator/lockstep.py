@@ -100,7 +100,7 @@ class Lockstep:
         self._first_run_id = 1
         bridge = self._new_bridge(self._first_run_id, now_ns=self.now_ns)
         self.computer = OnboardComputer(bridge, codec, new_planner(), new_controller(), self.now_ns)
-        # The checker stands in the loop's own place: it is told what the loop receives, is asked and sends.
+        # The checker stands in the bridge's own place: it is told what the bridge receives, is asked and sends.
         self.wire = WireChecker(
             codec,
             in_flight_ns=0,
@@ -115,7 +115,6 @@ class Lockstep:
         )
         self.computer.checker = bridge.checker = self.wire
         self.on_frame = on_frame
-        self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames
         self._next_cones_ns = self.now_ns
         self._asked_autonomous = False
         self.detector: Callable[[ConeObservation], ConeObservation] = confident
@@ -166,10 +165,9 @@ class Lockstep:
                 self.world.on_frame(frame)
 
     def _see(self, frames: Iterable[Frame]) -> None:
-        for see in (self.watch, self.on_frame):
-            if see is not None:
-                for frame in frames:
-                    see(frame)
+        if self.on_frame is not None:
+            for frame in frames:
+                self.on_frame(frame)
 
     def run(
         self,

@@ -34,6 +34,7 @@ from fsai_hil.evidence.campaign.endings import (
     estop,
 )
 from fsai_hil.evidence.campaign.injections import Injection
+from fsai_hil.rules import numbers as n
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, AsState, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.errors import did_you_mean
@@ -135,16 +136,19 @@ ECHO_REPLACED = ends(End.ON, note="two complete zero cycles stand for its echo")
 SILENT = ends(End.SELF, safe_ms=IN_TIME_MS)
 SILENT_OURS = replace(SILENT, note="it never drives on by itself")
 RESTARTED = ends(End.STOP, note="it never drives on by itself")
+# Cones come every 50 ms, and are planned with after 40 ms: what is old then stops the car at its age of 700 ms.
+PLAN_MS: Final = 90
+OLD_STOPS = replace(STOP, brake_ms=700 + PLAN_MS + SLACK_MS)
 
 LOST_STATUS = Graded(((50, PAUSE), (100, CAR_STOPS)))
 STATUS_BANDS = ((10, 30), (82, 86), (130, 2500))
 NO_ECHO = Graded(((100, CAR_STOPS),))
-LOST_FEEDBACK = Graded(((100, STOP), (300, estop(300))))
+LOST_FEEDBACK = Graded(((100, STOP), (300, estop(n.FEEDBACK_LOST_NS // MS))))
 FEEDBACK_BANDS = ((10, 60), (130, 240), (360, 2500))
 LOST_LIMIT = Graded(((0, AXLE_IDLE), (100, WITHIN_LIMIT)))
 LOST_COMMAND = Graded(((100, PAUSE), (300, STOP)))
 COMMAND_BANDS = ((10, 60), (140, 240), (380, 2500))
-OLD_DATA = Graded(((600, STOP),))
+OLD_DATA = Graded(((600, OLD_STOPS),))
 AI_SILENT = Graded(((100, SILENT),))
 AI_SILENT_TORQUE = Graded(((0, MAY_MEET), (100, SILENT)))
 
@@ -602,7 +606,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("planner_restarted", "the planner ends and is started again in mid-drive").by(
         inject.restarted("planner"),
-        RESTARTED,
+        replace(RESTARTED, brake_ms=OLD_STOPS.brake_ms),
         lasts((0, 400), (950, 3000)),
         missions=PATH_MISSIONS,
     ),
@@ -629,7 +633,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("planner_finishes_early", "the planner reports that the mission is over, at full speed").by(
         inject.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
-        replace(STOP, own_word=False),
+        replace(STOP, own_word=False, brake_ms=PLAN_MS + CONTROL_MS + SLACK_MS),
         missions=PATH_MISSIONS,
     ),
     Fault("controller_silent", "the controller hangs for a while").by(
@@ -690,7 +694,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("both_pedals", "throttle and brake in every command: the brake wins").by(
         inject.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
-        Graded(((0, PAUSE), (100, estop(100 + CONTROL_MS)))),
+        Graded(((0, PAUSE), (100, estop(n.PEDALS_NS // MS + CONTROL_MS)))),
         lasts((10, 50), (160, 2000)),
         Draw("throttle", (0.05, 1.0)),
         Draw("brake", (0.05, 1.0)),

@@ -1,6 +1,7 @@
 """The endings of a run, and which of them a fault may lead to.
 
-What happens on the way, and by when, is judged by the checker of `rules/`: it knows the time of every graded reaction.
+What happens on the way, and by when, is judged by the checker of `rules/`: it knows the time of every graded reaction
+to what the bridge is given.
 Times here are milliseconds from the fault.
 """
 
@@ -36,15 +37,17 @@ class End(Enum):
 class Must(Value, frozen=True):
     """The ends that are allowed after a fault.
 
-    `pauses`: torque is 0 meanwhile, so the car may leave the course. `safe_ms`: the car stands, or its EBS acts; None
-    where the checker's times are all. `asks`: ESTOP_REQUEST goes out by then, even where the car stops itself.
-    `own_word`: that the controller reports that the mission is over is no fault, and ends the run as it should.
-    `shows_late`: the reaction is timed from when steering or a wheel was certainly implausible. `note`: why, or what
-    the rules on the wire hold besides.
+    `pauses`: torque is 0 meanwhile, so the car may leave the course. `brake_ms`: the service brake of a stop is on,
+    where the fault lies before the bridge: the checker knows the time of what the bridge is given only. `safe_ms`: the
+    car stands, or its EBS acts; None where the checker's times are all. `asks`: ESTOP_REQUEST goes out by then, even
+    where the car stops itself. `own_word`: that the controller reports that the mission is over is no fault, and ends
+    the run as it should. `shows_late`: the reaction is timed from when steering or a wheel was certainly implausible.
+    `note`: why, or what the rules on the wire hold besides.
     """
 
     ends: frozenset[End]
     pauses: bool = False
+    brake_ms: float | None = None
     safe_ms: float | None = None
     asks: bool = False
     own_word: bool = True
@@ -66,6 +69,7 @@ class Must(Value, frozen=True):
     def demanded(self) -> str:
         """All of it in words."""
         limits = ", torque 0 meanwhile" if self.pauses else ""
+        limits += f" (service brake within {self.brake_ms:g} ms)" if self.brake_ms is not None else ""
         limits += f" (safe within {self.safe_ms:g} ms)" if self.safe_ms is not None else ""
         return (f"{self.note}: " if self.note else "") + self.words + limits
 

@@ -6,7 +6,7 @@ by itself that the mission is over, for then a stop is no reaction.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -33,7 +33,7 @@ class Observation:
     braking_ns: int | None = None  # since when the brake that ended the drive was on
     early_ns: int | None = None  # the car moved before it may
     rest_ns: int | None = None  # since when it has truly stood, to the end
-    certain_ns: Sequence[int] = ()  # when steering or a wheel began to be certainly implausible
+    certain_ns: Mapping[int, int] = field(default_factory=dict)  # when steering or a wheel was certainly implausible
     speed_mps: float = 0.0  # at the fault
     mission_over_ns: int | None = None  # the controller reported so by itself
     left_course: int = 0  # times since the fault
@@ -87,16 +87,16 @@ class Observer:
             seen.rest_ns = now_ns
 
     def _on_cycle(self, now_ns: int, fault_ns: int | None) -> None:
-        """Note a command cycle, as the car has seen it last."""
+        """Note a command cycle as it left the AI computer."""
         seen, wire = self.seen, self._rig.wire
         torque, brake = max(wire.seen.torque_nm) > 0.0, max(wire.seen.brake_pct) > 0.0
         over = seen.finished_ns is not None or seen.entered(AsState.EMERGENCY_BRAKE, fault_ns or 0) is not None
         if wire.ai.estop_request and seen.estop_ns is None:
             seen.estop_ns = now_ns
-        if wire.ai.mission_status is MissionStatus.FINISHED and seen.finished_ns is None:
-            seen.finished_ns, over = now_ns, True
         if not over:
             seen.braking_ns = (seen.braking_ns or now_ns) if brake else None
+        if wire.ai.mission_status is MissionStatus.FINISHED and seen.finished_ns is None:
+            seen.finished_ns = now_ns
         if fault_ns is None:
             seen.had_torque = seen.had_torque or torque
         if torque:

@@ -66,9 +66,9 @@ def markdown(header: Header, runs: Sequence[RunLine]) -> str:
         "",
         f"**Worse than the rules allow: {len(worse)} of {len(runs)} runs.**",
         "",
-        "- *To the reaction*: from the fault (for what must first become implausible: from the moment at which it"
-        " certainly was) to the reaction on the bus: torque 0, the service brake, ESTOP_REQUEST, or the car's own"
-        " emergency brake.",
+        "- *To the reaction*: from the fault (where steering or a wheel must first become implausible: from the moment"
+        " at which it certainly was) to the reaction on the bus: torque 0, the service brake, ESTOP_REQUEST, or the"
+        " car's own emergency brake.",
         "- *To a safe state*: until the car truly stands or its EBS acts; where it drives on, until torque was 0.",
         "- Times in milliseconds. *Left the course* counts runs in which all four wheels did after the fault: no rule"
         " on the bus forbids it, and where the fault must change nothing it is worse than allowed.",

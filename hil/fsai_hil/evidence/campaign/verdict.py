@@ -11,7 +11,7 @@ from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.endings import ANY, NOTHING, End, Must
 from fsai_hil.evidence.campaign.observation import Observation
 from fsai_hil.rules.bus_view import IDLE
-from fsai_hil.rules.numbers import LAUNCH_NS, MS
+from fsai_hil.rules.numbers import LAUNCH_NS, MS, ODD_LOST_NS
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.values import Value
 
@@ -71,7 +71,7 @@ def judge(
     # A frame of an intruder may end the drive at the very instant of the fault.
     applies = _supervised(case) and (case.kind.from_start or seen.state_at(fault_ns - 1) is AsState.AS_DRIVING)
     if over_ns is not None:
-        patience_ms = 0 if End.ON in allowed else max(OVER_MS, must.safe_ms or 0)
+        patience_ms = 0 if End.ON in allowed else OVER_MS if must.safe_ms is None else must.safe_ms
         applies = applies and over_ns > fault_ns + patience_ms * MS
     if not applies:
         wrong += [end.value] if end is End.UNSAFE else []
@@ -79,7 +79,10 @@ def judge(
         wrong += _wrong(seen, end, must, fault_ns, safe_ns)
     onset_ns: int | None = fault_ns
     if must.shows_late:
-        onset_ns = next((t for t in reversed(seen.certain_ns) if reaction_ns and fault_ns <= t <= reaction_ns), None)
+        onset_ns = None
+        for from_ns, to_ns in seen.certain_ns.items() if reaction_ns is not None else ():
+            if fault_ns <= from_ns <= reaction_ns <= to_ns + ODD_LOST_NS:
+                onset_ns = from_ns
     return CaseVerdict(
         end,
         reaction,
@@ -99,13 +102,16 @@ def _wrong(seen: Observation, end: End, must: Must, fault_ns: int, safe_ns: int 
     parked = must.safe_ms is not None and parked_ns is not None and parked_ns <= due_ns  # no emergency was due any more
     if end not in must.ends and not (parked and end is End.STOP):
         return [f"{end.value}, where the rules demand: {must.words}"]
-    for what, at_ns, due in (
-        ("a safe state", safe_ns, end not in (End.ON, End.HELD, End.NOT_STARTED)),
-        ("ESTOP_REQUEST", seen.estop_ns, must.asks),
+    braked = must.brake_ms is not None and end is End.STOP
+    for what, at_ns, due, most_ms in (
+        ("the service brake", seen.braking_ns, braked, must.brake_ms),
+        ("a safe state", safe_ns, end not in (End.ON, End.HELD, End.NOT_STARTED), must.safe_ms),
+        ("ESTOP_REQUEST", seen.estop_ns, must.asks, must.safe_ms),
     ):
-        if due and (at_ns is None or at_ns > due_ns):
+        latest_ns = seen.ended_ns if most_ms is None else fault_ns + most_ms * MS
+        if due and (at_ns is None or at_ns > latest_ns):
             came = "never came" if at_ns is None else f"came {_ms(at_ns, fault_ns):.0f} ms after the fault"
-            return [f"{what} {came}" + (f", allowed are {must.safe_ms:.0f} ms" if must.safe_ms is not None else "")]
+            return [f"{what} {came}" + (f", allowed are {most_ms:.0f} ms" if most_ms is not None else "")]
     if replace(must, note="") == NOTHING and seen.left_course:
         return ["the car left the course, where the rules demand that nothing changes"]
     return []
