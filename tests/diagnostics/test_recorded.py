@@ -116,7 +116,7 @@ def test_a_stall_explains_a_pause_that_is_as_long(
     assert ("this run is not judged" in out) == (verdict == "UNKNOWN")
 
 
-def test_stalls_a_minute_apart_explain_the_answers_missed_in_each() -> None:
+def test_stalls_a_minute_apart_explain_what_was_missed_in_each() -> None:
     """No stall lasts from the first of them to the last."""
     missed_ns = tuple((t_ns, t_ns + 100 * MS) for t_ns in (20 * MS, 60 * S + 20 * MS))
     finding = Finding("problem", "handshake", "2 handshakes without an answer", silent_ns=missed_ns)
