@@ -7,6 +7,7 @@ due. What leaves is told by whoever sends it.
 from __future__ import annotations
 
 from fsai_hil.rules.checker import WireChecker
+from fsai_hil.rules.numbers import STOP_TIMEOUT_NS
 from fsai_hil.rules.seen import Process
 from fsai_vcu.core.bridge import Bridge, BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
@@ -21,6 +22,7 @@ def process_of(config: BridgeConfig, **known: bool) -> Process:
         autonomous_at_power_up=config.autonomous_at_power_up,
         service_brake_pct=config.stop_brake_pct,
         stop_cycles=config.stop_cycles,
+        stop_timeout_ns=config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS,  # motors may take longer
         **known,
     )
 
