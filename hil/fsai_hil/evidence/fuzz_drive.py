@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.watched import Setting
+from fsai_hil.evidence.searched import Setting
 from fsai_hil.rules.numbers import CYCLE_NS, MS
 from fsai_hil.simulator.watched_bridge import WatchedBridge
 from fsai_vcu.core.bridge import BridgeConfig

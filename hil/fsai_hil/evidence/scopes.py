@@ -15,7 +15,7 @@ from msgspec import field
 from msgspec.structs import replace
 
 from fsai_hil.evidence.environment import BOTH, BRAKE, CAR_MESSAGES, COMMANDS, MARKS, SPEEDS, STATUS, Choice
-from fsai_hil.evidence.watched import HAPPENINGS, RESTART, Setting
+from fsai_hil.evidence.searched import HAPPENINGS, RESTART, Setting
 from fsai_hil.rules.numbers import MS, S
 from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR

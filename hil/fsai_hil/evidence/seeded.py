@@ -20,7 +20,7 @@ from msgspec.structs import astuple, replace
 from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
-from fsai_hil.evidence.watched import Setting
+from fsai_hil.evidence.searched import Setting
 from fsai_hil.rules.numbers import MS
 from fsai_vcu.core import bridge
 from fsai_vcu.core.bridge import BridgeConfig
