@@ -110,12 +110,19 @@ planning: setup  ## the same on 50 generated circuits, into docs; TRACKS="FILE.c
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
 	$(BIN)/python -m fsai_hil.bench control
 
-SPY = $(BIN)/py-spy record --function --rate 400 --output
+# Attached to a process that runs: of one that it starts, py-spy looks at an interpreter that is not ready.
+SPY = $(BIN)/py-spy record --function --rate 100 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
 	mkdir -p out && $(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
-	$(SPY) docs/pictures/profile-loop.svg -- $(BIN)/python -m fsai_hil.bench.loop
-	taskset -c 0 $(SPY) docs/pictures/profile-decode.svg -- $(BIN)/python -m fsai_vcu.cli.main decode out/profile.log >/dev/null
-	$(SPY) docs/pictures/profile-planning.svg -- $(BIN)/python -m fsai_hil.bench planning trackdrive --condition ideal
+	for _ in {1..10}; do cat out/profile.log; done >out/profile-long.log
+	watched() { \
+	  taskset -c 0 $(BIN)/python -m "$${@:2}" >/dev/null 2>&1 & \
+	  until grep -q numpy /proc/$$!/maps; do sleep 0.01; done; \
+	  $(SPY) docs/pictures/profile-$$1.svg --pid $$! && wait; \
+	}; \
+	watched loop fsai_hil.bench.loop && \
+	  watched decode fsai_vcu.cli.main decode out/profile-long.log && \
+	  watched planning fsai_hil.bench planning --condition ideal
 
 ##@ For others
 install:  ## install as the car's software, as root, who only copies (or below DESTDIR=...); docs/car.md says what comes next
