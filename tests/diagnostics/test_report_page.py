@@ -73,6 +73,15 @@ def test_the_page_has_a_row_of_figures_for_every_message(html: str, frames: Fram
     assert rows == {f"{can_id:03X}" for can_id in np.unique(frames.can_id).tolist()}
 
 
+def test_a_page_opens_where_the_car_was_last_heard() -> None:
+    whole = log_of(driving().frames)
+    end_ns, silent_ns = int(whole.t_ns[-1]), int(whole.t_ns[-1]) - 2 * S
+    off = whole.only((whole.can_id != 0x520) | (whole.t_ns < silent_ns))
+    data = data_of(page(off, "run.log"))
+    assert data["extent"][1] == pytest.approx((end_ns - int(whole.t_ns[0])) / S, abs=1e-3)
+    assert data["extent"][1] - 2.02 < data["heard"] < data["extent"][1] - 1.98
+
+
 def test_a_logs_name_is_text_and_data_cannot_end_their_script() -> None:
     text = page(log_of(driving().frames), "</script><script>alert(1)</script>")
     assert '<h1 id="channel">&lt;/script&gt;' in text

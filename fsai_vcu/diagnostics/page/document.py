@@ -98,9 +98,12 @@ def _data(judged: Judged, drawn: list[Plot], rate: float | None, *, loop: bool) 
     times_ns = zero_ns, record.begin_ns, record.end_ns
     changes_ns = [event.t_ns for event in story.events if event.weight > Weight.NOTE]
     changes_ns += record.series(sig.LAP).spans.begin_ns.tolist()
+    status_ns = record.series(sig.AS_STATE).t_ns
     view = View(record.channel, record.revision.name, record.decoder.databases)
     data = {
         "extent": [round(seconds(story, t_ns), 4) for t_ns in (record.begin_ns, record.end_ns)],
+        # A car that is switched off before the recording ends has nothing to show at the end.
+        "heard": round(seconds(story, int(status_ns[-1]) if len(status_ns) else record.end_ns), 4),
         "plots": [
             {
                 "slug": plot.slug,

@@ -307,7 +307,7 @@ function play() {
   for (const { curves } of plots) for (const curve of curves) if (curve.tile) trends.set(curve.tile, curve);
   const bad = log.marks.find((mark) => mark[2]);
   const slider = by("time"), rate = by("rate");
-  let now = log.rate ? whole[0] : bad ? bad[0] : whole[1], playing = Boolean(log.rate), cursor = null;
+  let now = log.rate ? whole[0] : bad ? bad[0] : log.heard, playing = Boolean(log.rate), cursor = null;
   let view = whole.slice(), dragged = null; // [from, to] while a range is chosen
   let LEFT = 44; // room for labels, the same in all panes so that instants stand below one another
   let due = false, tickMs = 0;
