@@ -35,6 +35,10 @@ MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
 SHORT_PACE = 3.0  # the short form is for changes of the sources, on any machine; figures are the full one's
 INTERFACE = "vcan0"
+# Without udev systemd sees no devices.
+NEEDED = {"systemd": Path("/usr/lib/systemd/systemd"), "udev": Path("/usr/lib/systemd/systemd-udevd")}
+APT = "sudo apt-get install -y"
+NOT_TRIED = 77  # the status of a stage of scripts/test
 # Of this machine's services none is wanted inside; and what systemd would look for there is not.
 MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
 CAR = f"--auto --json {' '.join(scenes.LIGHT)}"
@@ -78,6 +82,9 @@ def main() -> int:
     pace = args.pace if args.pace is not None else SHORT_PACE if args.short else 1.0
     if not 1.0 <= pace <= SLOWEST_PACE:
         parser.error(f"--pace is {pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
+    if missing := [name for name, program in NEEDED.items() if not program.exists()]:
+        print(f"{' and '.join(missing)} not installed, without which nothing is rehearsed: {APT} {' '.join(missing)}")
+        return NOT_TRIED
     try:
         return rehearse(args.missions, args.results.resolve(), args.timeout, args.short, pace)
     except (UserError, VcanError) as error:
@@ -104,8 +111,6 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
     else:
         install_car("deb", results, PAYLOAD=results / "payload")
         unpack(max(results.glob(f"{PACKAGE}_*.deb"), key=lambda path: path.stat().st_mtime_ns), installed)
-    if not Path("/usr/lib/systemd/systemd-udevd").exists():
-        raise UserError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
     if pace != 1.0:
         print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
