@@ -146,6 +146,10 @@ def test_a_held_up_process_lets_the_cars_time_stand_still(monkeypatch: pytest.Mo
     vcu.loop()
     assert vcu.held_up_ns > 4_900_000_000
     assert vcu.world.now_ns - start < 1_000_000_000
+    result = process.result_of(vcu)
+    assert result["result"] == result["missions"][0]["result"] == "not judged"
+    (reason,) = result["reasons"]
+    assert "this computer was too busy" in reason and "laps" not in reason
 
 
 @pytest.mark.parametrize(

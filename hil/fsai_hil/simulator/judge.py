@@ -58,8 +58,8 @@ class JudgeVerdict(Value, frozen=True):
     """The judge's report at the end, or as it would be if the run ended now. Times in s since the world began."""
 
     mission: str
-    result: str  # 'pass' or 'fail'
-    reasons: tuple[str, ...]  # why it failed
+    result: str  # 'pass' or 'fail'; 'not judged' where the computer was too busy
+    reasons: tuple[str, ...]  # why it did not pass
     as_states: tuple[tuple[str, float], ...]  # (state, when it was entered)
     laps: int
     lap_times_s: tuple[float, ...]

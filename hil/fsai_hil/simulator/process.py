@@ -25,6 +25,7 @@ from msgspec.structs import asdict, replace
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.ground_truth import TruthSender
+from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.power import POWER_UP
 from fsai_hil.simulator.profiles import PROFILES
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
@@ -401,14 +402,22 @@ class VcuProcess:
 # ---------------------------------------------------------------- the end
 
 
+def told(process: VcuProcess, verdict: JudgeVerdict) -> JudgeVerdict:
+    """Return the verdict as it is told: what failed on a computer that held even the simulated car up is not judged."""
+    if verdict.passed or not process.held_up_ns:
+        return verdict
+    busy = f"this computer was too busy: it held the simulated car up for {process.held_up_ns / 1e6:.0f} ms"
+    return replace(verdict, result="not judged", reasons=(busy,))
+
+
 def result_of(process: VcuProcess) -> dict[str, Any]:
     """Return the session's result as a program wants to read it."""
-    world = process.world
-    verdict, setup = world.verdict(), world.setup
+    world, setup, passed = process.world, process.world.setup, _passed(process.world)
+    verdict = told(process, world.verdict())
     return {
         **verdict.as_dict(),
-        "result": "pass" if _passed(world) else "fail",
-        "missions": [each.as_dict() for each in world.verdicts or [verdict]],
+        "result": "pass" if passed else "not judged" if process.held_up_ns else "fail",
+        "missions": [told(process, each).as_dict() for each in world.verdicts] or [verdict.as_dict()],
         "ended": process.why_ended,
         "track": world.run.track.name,
         "revision": setup.revision,
@@ -460,7 +469,7 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
         saved_all &= plotted(PROGRAM, Path(args.plot), first)
     if args.auto or world.verdicts:
         for verdict in world.verdicts or [world.verdict()]:
-            print(verdict.summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
+            print(told(process, verdict).summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
     if args.json:
         print(json.dumps(result), flush=True)
     if not saved_all:
