@@ -28,7 +28,7 @@ pytestmark = needs_browser
 NAME = "can0 <b>& its</b> <script>document.title = 'taken'</script>"
 T = TypeVar("T")
 # Of a scheme only the colours differ.
-SCREENS = [(1600, 900, "light"), (1024, 768, "dark"), (390, 844, "light")]
+SCREENS = [(1600, 900, "light"), (1280, 760, "light"), (1366, 640, "light"), (1024, 768, "dark"), (390, 844, "light")]
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +187,14 @@ def states(driving: tuple[Any, Any], with_nodes: tuple[Any, Any]) -> list[dict[s
     braking = {
         "as_state": "EMERGENCY_BRAKE",
         "driving": False,
+        "estop_request": True,
+        "states": {
+            "OP_STATE": "OP_AUTO",
+            "TS_STATE": "TS_SHUTDOWN",
+            "EBS_STATE": "EBS_TRIGGERED",
+            "STEERING_STATUS": "OFF",
+            "STATUS_BRK": "READY",
+        },
         "faults": [{"names": ["EBS_FAULT"], "text": "the emergency brake system failed", "remedy": "check the air"}],
         "why_not_driving": [{"text": "the VCU braked because of an EBS fault", "remedy": "power-cycle"}],
         "light": light_of("EMERGENCY_BRAKE")._asdict(),
