@@ -7,6 +7,7 @@ import math
 import os
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from importlib.resources import files
 from itertools import chain, islice
 from typing import Any, Final
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
     how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
     try:
-        with server:
+        with closing(source), server:
             print(f"ws://{server.url} shows {sources.name}, {how_long}", flush=True)
             if server.beyond:
                 print(server.beyond, flush=True)

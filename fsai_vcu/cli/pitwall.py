@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -89,12 +89,12 @@ def run(args: argparse.Namespace) -> int:
         server = Server(args.host, args.port)
     except OSError as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
-    with closing(server.socket), suppress(KeyboardInterrupt):
+    with ExitStack() as opened, closing(server.socket), suppress(KeyboardInterrupt):
         if sources.files:
             return _serve_log(server, sources, decoding, args)
         databases = decoding.databases if args.dbc else None
         view = View(", ".join(Path(name).name for name in sources.names), args.revision, databases)
-        chunks = sources.chunks(args.seconds, waits=True)
+        chunks = opened.enter_context(closing(sources.chunks(args.seconds, waits=True)))
         source: Source
         first = list(islice(chunks, 1))  # a bus is opened here, not in the thread; of a log the first moment is known
         if sources.live:

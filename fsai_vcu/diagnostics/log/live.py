@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import sys
 import threading
 import time
 from collections import deque
@@ -116,7 +117,7 @@ class Listener:
         """End the reception; what has passed until now is received first, and can still be fetched."""
         self._end_ns = min(self._end_ns, time.monotonic_ns())
         self._ending.set()
-        if self._thread.is_alive():
+        if self._thread.is_alive() and not sys.is_finalizing():  # then it never goes on, nor ends
             self._thread.join()
         self._leave()
 

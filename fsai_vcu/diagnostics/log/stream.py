@@ -146,6 +146,7 @@ class _Member(_Bounded):
     """The one file in a zip archive."""
 
     def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
         try:
             archive = zipfile.ZipFile(file)
             members = [member for member in archive.infolist() if not member.is_dir()]
@@ -155,7 +156,6 @@ class _Member(_Bounded):
             self._member = archive.open(members[0])
         except (zipfile.BadZipFile, RuntimeError, NotImplementedError, ValueError) as error:
             raise OSError(f"a zip archive that cannot be unpacked: {error}") from None
-        self._file = file
 
     def readinto(self, buffer: Any) -> int:
         try:

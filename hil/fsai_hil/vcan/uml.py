@@ -171,8 +171,8 @@ def _first_process(
     """Return the script of the first process inside: it mounts what is needed, and runs the command."""
 
     def folder(path: Path, options: str, behind: Path | None = None) -> list[str]:
-        # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
-        return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(behind or path)} none {_q(path)}"]
+        # The mount point is the host's path, made where memory now hides it.
+        return [f"mkdir -p {_q(path)}", f"hostfs {_q(behind or path)} {_q(path)} {options}"]
 
     staged, results_dir = results
     environment = [_q(f"{name}={value}") for name, value in env.items()]
@@ -180,9 +180,9 @@ def _first_process(
         "mount -t sysfs sysfs /sys",
         *(f"mkdir -p {path}; mount -t tmpfs tmpfs {path}" for path in _IN_MEMORY),
         "mkdir -p /dev/pts; mount -t devpts devpts /dev/pts",
-        *(line for path in needed for line in folder(path, "-o ro")),
-        *folder(results_dir, "-o rw", staged),
-        *folder(exchange, "-o rw"),
+        *(line for path in needed for line in folder(path, "ro")),
+        *folder(results_dir, "rw", staged),
+        *folder(exchange, "rw"),
         "echo uml > /proc/sys/kernel/hostname",
         # The kernel would halt all real-time processes for 50 ms once they have used 95 % of a second, and here it
         # counts what the host took from the machine as used by them.
@@ -223,6 +223,8 @@ def boot(
         # Whatever fails ends the machine; the kernel's log has the failed command's message.
         "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
         "trap power_off EXIT",
+        # hostfs FOLDER PLACE OPTION: since Linux 6.11 the host's folder has a name among the options; before, it had none.
+        'hostfs() { mount -t hostfs -o "$3,hostfs=$1" none "$2" 2>/dev/null || mount -t hostfs -o "$3,$1" none "$2"; }',
         "set -e",
         "mount -t proc proc /proc",
         # Received frames are handed over before any program goes on. What an adapter's interrupt does on a PC, this

@@ -196,7 +196,7 @@ def first_process(missions: str, installed: Path, results: Path, clock: Mapping[
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
         # A mount of its own for each: overlayfs wants its layers apart.
-        f"mount -t hostfs none /mnt/installed -o {q(str(installed))}",
+        f"hostfs {q(str(installed))} /mnt/installed rw",
         "mount -t overlay overlay -o lowerdir=/mnt/installed:/,upperdir=/mnt/upper,workdir=/mnt/work /mnt/root",
         "cd /mnt/root",
         "mount -t proc proc proc",
@@ -204,7 +204,7 @@ def first_process(missions: str, installed: Path, results: Path, clock: Mapping[
         "mount -t tmpfs -o mode=1777 tmpfs tmp",
         "mount -t tmpfs -o mode=755,size=160M tmpfs var/log",
         "mkdir -p results var/log/journal",
-        f"mount -t hostfs none results -o {q(str(results))}",
+        f"hostfs {q(str(results))} results rw",
         "rm -f .dockerenv etc/systemd/system/*.wants/* etc/systemd/system/dbus-*",
         ": > etc/fstab",
         "echo car-pc > etc/hostname",
