@@ -223,7 +223,7 @@ def boot(
         # Whatever fails ends the machine; the kernel's log has the failed command's message.
         "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
         "trap power_off EXIT",
-        # hostfs FOLDER PLACE OPTION: since Linux 6.11 the host's folder has a name among the options; before, it had none.
+        # hostfs FOLDER PLACE OPTION: since Linux 6.11 the folder has a name among the options; before, it had none.
         'hostfs() { mount -t hostfs -o "$3,hostfs=$1" none "$2" 2>/dev/null || mount -t hostfs -o "$3,$1" none "$2"; }',
         "set -e",
         "mount -t proc proc /proc",
