@@ -62,7 +62,7 @@ def test_a_command_in_uml_keeps_environment_folder_and_status(
 ) -> None:
     results = tmp_path / "results of it"
     command = (
-        'seq 1 50000; ip -br link show vcan0; pwd; echo "$SAID"; env | cut -d= -f1 | sort | tr "\\n" " "; '
+        'seq 1 50000; ip -color=never -br link show vcan0; pwd; echo "$SAID"; env | cut -d= -f1 | sort | tr "\\n" " "; '
         f'touch {CHECKOUT}/written-inside; echo kept > "{results}/kept"; exit 7'
     )
     status = run_in_uml(["sh", "-c", command], cwd=CHECKOUT, env=ENVIRONMENT, timeout_s=60, results_dir=results)
