@@ -341,6 +341,9 @@ class Driving:
         return bool(self.node._loop.report().run.may_move)
 
 
+TRIES = 10  # of some seconds: the loop of an ordinary user has no real-time priority, and is held up by much
+
+
 def while_driving(
     show: Callable[[RosRig, ScriptedVcu, Callable[[], Driving]], None], promise: QoSProfile | int = qos.COMMAND
 ) -> None:
@@ -348,7 +351,7 @@ def while_driving(
 
     The loop for 50 ms is an emergency in AS_DRIVING; the car for a second has been switched off and on.
     """
-    for left in reversed(range(RUNS)):
+    for left in reversed(range(TRIES)):
         bus = f"loopback:{uuid.uuid4()}"
         with RosRig() as rig, ScriptedVcu(bus, STATUS) as vcu:
             try:

@@ -46,6 +46,7 @@ def test_the_rehearsals_pace_is_1_unless_asked_for(
     monkeypatch: pytest.MonkeyPatch, words: list[str], pace: float
 ) -> None:
     asked: list[float] = []
+    monkeypatch.setattr(rehearsal, "NEEDED", {})
     monkeypatch.setattr("sys.argv", ["carpc", *words])
     monkeypatch.setattr(rehearsal, "rehearse", lambda *arguments: asked.append(arguments[-1]) or 0)
     assert rehearsal.main() == 0
