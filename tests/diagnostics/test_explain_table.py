@@ -10,7 +10,7 @@ from fsai_hil.simulator.as_machine import ROWS, Row
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
-from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
+from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN
 from fsai_vcu.diagnostics.explain.signals import FAULTS
 from fsai_vcu.diagnostics.remedies import REMEDIES, Setting, remedy_of
 from fsai_vcu.interface.enums import AsState, ShutdownCause
@@ -109,18 +109,18 @@ OURS = re.compile(
 )
 
 
-@pytest.mark.parametrize("slug", REMEDIES)
-def test_no_remedy_sends_to_a_verb_that_says_it(slug: str) -> None:
-    for setting in (Setting(), Setting(theirs=True), Setting(virtual=True)):
-        assert not re.search(r"fsai-vcu (check|explain|status|monitor|report|compare)", remedy_of(slug, setting))
+def test_no_remedy_sends_to_a_verb_that_says_it() -> None:
+    settings = (Setting(), Setting(theirs=True), Setting(virtual=True))
+    for remedy in (remedy_of(slug, setting) for slug in REMEDIES for setting in settings):
+        assert not re.search(r"fsai-vcu (check|explain|status|monitor|report|compare)", remedy)
 
 
-@pytest.mark.parametrize("slug", REMEDIES)
-def test_of_another_program_no_remedy_names_this_softwares_parts(slug: str) -> None:
-    theirs, ours = remedy_of(slug, Setting(theirs=True)), remedy_of(slug)
-    assert not OURS.search(theirs)
-    assert theirs == ours or "your AI computer" in theirs
-    assert theirs == ours or OURS.search(ours) or "AI computer" in ours or "planner" in ours or "processor" in ours
+def test_of_another_program_no_remedy_names_this_softwares_parts() -> None:
+    for slug in REMEDIES:
+        theirs, ours = remedy_of(slug, Setting(theirs=True)), remedy_of(slug)
+        assert not OURS.search(theirs)
+        assert theirs == ours or "your AI computer" in theirs
+        assert theirs == ours or OURS.search(ours) or "AI computer" in ours or "planner" in ours or "processor" in ours
 
 
 def test_a_condition_has_the_same_words_whoever_names_it() -> None:
@@ -137,7 +137,7 @@ def test_every_braking_reason_of_the_supervisor_has_its_words() -> None:
         assert CAUSES[reason.slug].words == reason.words
 
 
-@pytest.mark.parametrize("cause", CAUSES.values(), ids=lambda cause: cause.slug)
-def test_every_cause_says_what_to_do(cause: Cause) -> None:
-    assert cause.words and cause.remedy
-    assert not cause.words.endswith(".") and not cause.remedy.endswith(".")
+def test_every_cause_says_what_to_do() -> None:
+    for cause in CAUSES.values():
+        assert cause.words and cause.remedy
+        assert not cause.words.endswith(".") and not cause.remedy.endswith("."), cause.slug

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import asammdf
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -313,6 +312,8 @@ def test_several_buses_have_tables_of_their_own(tmp_path: Path, decoder: Decoder
 def test_mf4_has_a_group_per_message(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
+    import asammdf  # slow to import
+
     path = tmp_path / "run.mf4"
     export(frames, decoder, "mf4", path)
     with asammdf.MDF(path) as mdf:
@@ -337,6 +338,8 @@ def test_mf4_has_a_group_per_message(
 
 
 def test_integers_beyond_64_bits_are_texts_in_mf4(tmp_path: Path) -> None:
+    import asammdf  # slow to import
+
     (tmp_path / "x.dbc").write_text(
         'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|64@1+ (1000000000000000000000000000,0) [0|0] "" A\n\n'
     )

@@ -10,7 +10,7 @@ import pytest
 from c_node import CNode
 
 from fsai_hil.rehearsal.inspection.judge import items_named
-from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
+from fsai_hil.rehearsal.inspection.rehearsal import RehearsalWorld
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.diagnostics.verdict.verdict import Verdict
@@ -32,7 +32,7 @@ def verdict_on(
     **options: object,
 ) -> Verdict:
     """Of the log of a rehearsal of that item. change: what the log has instead of a frame."""
-    rehearsal = Rehearsal(items_named([item]), gps=False, **options)  # type: ignore[arg-type]
+    rehearsal = RehearsalWorld(items_named([item]), gps=False, **options)  # type: ignore[arg-type]
     now_ns, log = PHASE_NS, list[Frame]()
     while not rehearsal.done and now_ns < seconds * S:
         now_ns += CYCLE_NS

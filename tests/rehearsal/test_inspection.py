@@ -18,7 +18,7 @@ from c_node import CNode, compiled
 from fsai_hil.cli.rehearse import add_arguments, parse, run
 from fsai_hil.rehearsal.inspection.items import ITEMS, SILENCES
 from fsai_hil.rehearsal.inspection.judge import Result, Verdict, items_named
-from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
+from fsai_hil.rehearsal.inspection.rehearsal import RehearsalWorld
 from fsai_hil.rehearsal.inspection.report import as_dict, line, page, passed, text
 from fsai_hil.rehearsal.inspection.scenes import PATTERN, SCENES
 from fsai_hil.rehearsal.stack import await_condition
@@ -44,7 +44,7 @@ def rehearsed(
     program: Program, *only: str, ends: bool = True, until: str = "", step_ns: int = CYCLE_NS, **options: object
 ) -> dict[str, Result]:
     """The results by item. `until`: it is enough when something is wrong with that one."""
-    rehearsal = Rehearsal(items_named(only), gps=False, **options)  # type: ignore[arg-type]
+    rehearsal = RehearsalWorld(items_named(only), gps=False, **options)  # type: ignore[arg-type]
     now_ns = PHASE_NS if step_ns == CYCLE_NS else 0
     while not rehearsal.done and not (until and rehearsal.inspector.is_wrong(until)):
         now_ns += step_ns
@@ -183,7 +183,7 @@ def test_a_program_that_says_nothing_passes_nothing() -> None:
 
 def test_a_program_that_ends_by_itself_ends_the_rehearsal(library: Path) -> None:
     node = CNode(library)
-    rehearsal = Rehearsal(items_named(["handshake", "static-b", "end"]), gps=False)
+    rehearsal = RehearsalWorld(items_named(["handshake", "static-b", "end"]), gps=False)
     for now_ns in range(PHASE_NS, 4_000 * MS, CYCLE_NS):
         for frame in node.cycle(rehearsal.advance(now_ns), now_ns):
             rehearsal.on_frame(frame)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from fsai_hil.simulator import car as car_module
 from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.vcu import Actuation
-from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS, VehicleParameters
 from fsai_vcu.interface.units import MS
 
@@ -56,33 +52,6 @@ def test_full_throttle_is_1_9_mps2_75_m_in_9_8_s_and_21_mps() -> None:
     assert car.t_ns / 1e9 == pytest.approx(9.8, abs=0.3)
     drive(car, FULL, 50.0)
     assert car.speed_mps == pytest.approx(21.0, abs=0.7), "and no more"
-
-
-def pushing_n(speed_mps: float) -> float:
-    """At full throttle, by the torque schedule and the resistances; without the driven tyres' slip."""
-    motor_rpm = ADS_DV_2026.wheel_rpm_of_speed(speed_mps) * 3.5
-    nm = np.interp(motor_rpm, *zip(*ADS_DV_2026.torque_curve_rpm_nm, strict=True))
-    drive_n = float(nm) * car_module.DRIVELINE_EFFICIENCY / ADS_DV_2026.rolling_radius_m
-    return drive_n - car_module.ROLLING_RESISTANCE * 300.0 * 9.81 - 0.6 * car_module.DRAG_AREA_M2 * speed_mps**2
-
-
-def test_75_m_and_top_speed_are_those_of_the_forces() -> None:
-    inertia_kg = 300.0 + car_module.ROTATING_MASS_KG
-
-    def there(_t: float, state: Floats) -> float:
-        return float(state[0]) - 75.0
-
-    there.terminal = True  # type: ignore[attr-defined]
-    run = solve_ivp(
-        lambda _t, s: (s[1], pushing_n(s[1]) / inertia_kg), (0, 30), (0.0, 0.0), events=there, max_step=0.05
-    )
-    car = Car(CARS["2026"])
-    while car.truth().distance_m < 75.0:
-        drive(car, FULL, 0.01)
-    assert car.t_ns / 1e9 == pytest.approx(run.t[-1], rel=0.015)
-    assert car.speed_mps == pytest.approx(run.y[1, -1], rel=0.015)
-    drive(car, FULL, 40.0)
-    assert car.speed_mps == pytest.approx(brentq(pushing_n, 10.0, 24.0), rel=0.01)
 
 
 def test_both_axles_drive_in_2021_and_only_the_rear_one_in_2026() -> None:

@@ -8,11 +8,9 @@ the true path, speeds those of the true car; a call's time is processor time.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,11 +34,9 @@ AHEAD_M = 20.0
 LATERAL_MPS2 = 4.5  # of the bends at the speed driven
 RUN_UP_M = {5.0: 12.0, 10.0: 45.0}  # straight, by the speed to reach on it
 NOISE_M = 0.02
-BRAKES_MPS2 = 0.3  # a profile that falls by less does not brake
-LOOKED_AHEAD_S = 0.6  # the controller looks so far: the brakes' reaction and its preview
 PLACES_M = 0.05  # between the points by which the car's place is told
 LONGEST_NS = 90 * S
-HEADS = ("path", "RMS m", "max m", "under", "over", "brakings", "outside", "p50 ms", "p99 ms")
+HEADS = ("path", "RMS m", "max m", "under", "over", "p50 ms", "p99 ms")
 COURSE = ((40.0, 0.0), (16.0, 0.19), (25.0, 0.0), (12.0, -0.12), (30.0, 0.0), (8.0, 0.15), (8.0, -0.15), (30.0, 0.0))
 """Straights and bends of a lap, m and 1/m, whose speed is the controller's own."""
 
@@ -69,33 +65,24 @@ def paths(speed_mps: float) -> dict[str, Floats]:
 
 
 class Watched(Controller):
-    """The product's controller, with how long its calls take and what it asks for beside its own speed profile."""
+    """The product's controller, with how long its calls take and how much faster the car is than its speed profile."""
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.calls_ms: list[float] = []
-        self.over_mps: list[float] = []  # the speed above the profile's
-        self.brakings = self.brakings_outside = 0
-        self._braked = False
+        self.over_mps: list[float] = []
 
     def command(
         self, plan: Plan | None, motion: Motion, standing: bool, rpm: Any, steer_deg: float, run: Run, now_ns: int
     ) -> VehicleCommand:
-        """Command as the product does; keep the call's time, speed above the profile, and brakings."""
+        """Command as the product does; keep the call's time and the speed above the profile."""
         began_s = time.thread_time()
         command = super().command(plan, motion, standing, rpm, steer_deg, run, now_ns)
-        profile = self._profile
-        if not run.may_move or plan is None or profile is None:
-            return command
-        self.calls_ms.append(1e3 * (time.thread_time() - began_s))
-        along = STEP_M * np.arange(len(profile))
-        here = motion.speed_mps * (now_ns - plan.t_sensor_ns) / S
-        self.over_mps.append(motion.speed_mps - math.sqrt(float(np.interp(here, along, profile))))
-        if command.brake > 0.0 and not self._braked:
-            ahead = profile[(along > here - STEP_M) & (along < here + LOOKED_AHEAD_S * motion.speed_mps + STEP_M)]
-            self.brakings += 1
-            self.brakings_outside += not bool((np.diff(ahead) < -2.0 * BRAKES_MPS2 * STEP_M).any())
-        self._braked = command.brake > 0.0
+        if run.may_move and plan is not None and self._profile is not None:
+            self.calls_ms.append(1e3 * (time.thread_time() - began_s))
+            along_m = STEP_M * np.arange(len(self._profile))
+            here_m = motion.speed_mps * (now_ns - plan.t_sensor_ns) / S
+            self.over_mps.append(motion.speed_mps - math.sqrt(float(np.interp(here_m, along_m, self._profile))))
         return command
 
 
@@ -150,8 +137,8 @@ class GivenPath:
 
 def drive(
     kind: type[Watched], path_m: Floats, settings: ControllerSettings, noise_m: float, from_m: float
-) -> dict[str, float]:
-    """Drive along a path, and return what is counted from so far on."""
+) -> tuple[float, ...]:
+    """Drive along a path, and return the figures of `HEADS` from so far on."""
     lockstep = Lockstep(WorldSetup(missions=[Ami.TRACKDRIVE]), controller=settings)
     car, computer = lockstep.world.car, lockstep.computer
     path_m = to_odometry(Motion(x_m=car.pose.x_m, y_m=car.pose.y_m, yaw_rad=car.pose.yaw_rad), path_m)
@@ -166,58 +153,37 @@ def drive(
         assert lockstep.now_ns < LONGEST_NS, "the car does not come to the path's end"
         if lockstep.now_ns % (10 * MS) or car.speed_mps <= 0.0:
             continue
-        pose = car.pose
-        at += int(((places[at : at + 60] - (pose.x_m, pose.y_m)) ** 2).sum(axis=1).argmin())
-        (x, y), (dx, dy) = places[at] - (pose.x_m, pose.y_m), places[at + 1] - places[at]
+        away = places[at : at + 60] - (car.pose.x_m, car.pose.y_m)
+        nearest = int((away**2).sum(axis=1).argmin())
+        at += nearest
+        (x, y), (dx, dy) = away[nearest], places[at + 1] - places[at]
         looks.append((at * PLACES_M, (y * dx - x * dy) / PLACES_M, car.speed_mps))
     _, aside, speed = np.array([look for look in looks if look[0] > from_m]).T
-    return {
-        "rms_m": float(np.sqrt((aside**2).mean())),
-        "max_m": float(np.abs(aside).max()),
-        "under_limit_mps": float(settings.lap_max_speed_mps - speed.min()),
-        "over_profile_mps": max(watched.over_mps),
-        "brakings": watched.brakings,
-        "brakings_outside_profile": watched.brakings_outside,
-        "p50_ms": float(np.quantile(watched.calls_ms, 0.5)),
-        "p99_ms": float(np.quantile(watched.calls_ms, 0.99)),
-    }
+    under_mps, over_mps = float(settings.lap_max_speed_mps - speed.min()), max(watched.over_mps)
+    rms_m, max_m = float(np.sqrt((aside**2).mean())), float(np.abs(aside).max())
+    return rms_m, max_m, under_mps, over_mps, *np.quantile(watched.calls_ms, (0.5, 0.99))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-o", "--output", dest="out", type=Path, default=Path("out/bench"), help="folder of control.json"
-    )
     parser.add_argument("--path", action="append", help="only this path (slalom, hairpin, eight, chicanes, course)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> str:
-    """Drive every path with both controllers, exact and moving; print and save what was counted."""
+    """Drive every path with both controllers, exact and moving; print what was counted."""
     given = [
-        (
-            f"{name} {v:g} m/s",
-            path,
-            ControllerSettings(lap_max_speed_mps=v, lateral_mps2=6.0, end_of_path_mps=v),
-            run_up,
-        )
-        for v, run_up in RUN_UP_M.items()
+        (f"{name} {v:g} m/s", path, ControllerSettings(lap_max_speed_mps=v, lateral_mps2=6.0, end_of_path_mps=v), begin)
+        for v, begin in RUN_UP_M.items()
         for name, path in paths(v).items()
     ]
     given.append(("course", arcs(*COURSE), ControllerSettings(), 10.0))
-    rows, lines = [], []
+    lines = []
     for (name, path_m, settings, from_m), kind, noise_m in product(given, (Watched, Pursuit), (0.0, NOISE_M)):
         if args.path and name.split()[0] not in args.path:
             continue
-        who = "pure pursuit" if kind is Pursuit else "ours"
-        found = drive(kind, path_m, settings, noise_m, from_m)
-        rows.append({"path": name, "noise_m": noise_m, "controller": who, **found})
-        lines.append(
-            (f"{name}, {who}" + (" ~" if noise_m else ""), *(f"{round(value, 3):g}" for value in found.values()))
-        )
-        print(f"{len(rows)}: {lines[-1][0]}", flush=True)
-    args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "control.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        label = f"{name}, {'pure pursuit' if kind is Pursuit else 'ours'}{' ~' * bool(noise_m)}"
+        print(label, flush=True)
+        lines.append((label, *(f"{round(value, 3):g}" for value in drive(kind, path_m, settings, noise_m, from_m))))
     print(table(HEADS, lines))
     print(f"~: paths that move by {NOISE_M} m; under: below the speed limit, over: above the profile, m/s")
-    print(f"saved {args.out / 'control.json'}")
     return ""

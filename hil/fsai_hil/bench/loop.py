@@ -20,7 +20,7 @@ import numpy as np
 from cantools.database.can import Database
 from msgspec.structs import replace
 
-from fsai_hil.bench.rows import Row, in_turns, timed
+from fsai_hil.bench.rows import Ratio, in_turns, timed
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
@@ -41,7 +41,9 @@ from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.turns import Send, Turns
 
 REVISION = "2026"
-TRACKDRIVE_LAPS = 1
+ROUNDS, TURNS = 15, 2000  # of a comparison; in each of its rounds
+STARTS = 7  # of a process
+MISSIONS, DRIVES = ("acceleration", "skidpad", "autocross", "trackdrive"), 2
 NODE_START = "start bridge node"
 NODE_START_S = 1.0  # of a normal machine, as carpc/scenes.py has it
 NODE_PATIENCE_S = 60.0  # of a loaded machine
@@ -72,8 +74,8 @@ def cantools_database() -> Database:
     return database
 
 
-def codec_rows(turns: int, rounds: int) -> list[Row]:
-    """Measure frames of a car that comes up decoded, a command's encoded, and a 0x520 answered with five frames.
+def codec_rows() -> list[Ratio]:
+    """Decode frames of a car that comes up, encode a command, answer a 0x520 with five frames.
 
     Both answers go over the loopback bus: the product's is supervised and limited, the peer's is not.
     """
@@ -106,9 +108,9 @@ def codec_rows(turns: int, rounds: int) -> list[Row]:
             ("encode a frame", "us/frame", len(values), encode, "cantools", encode_by_cantools),
             ("answer a 0x520", "us/cycle", 1, turn, "cantools + python-can", answer_by_cantools),
         ):
-            took = partial(timed, scale=1e6, turns=turns // (20 if of == len(frames) else 1), of=of)
-            found += in_turns(unit, rounds, (peer_name, took(peer)), (name, took(ours)), cold=1)
-        assert bridge.tally.cycles - before >= rounds * turns, "not every 0x520 was answered"
+            took = partial(timed, scale=1e6, turns=TURNS // (20 if of == len(frames) else 1), of=of)
+            found += in_turns(unit, ROUNDS, (peer_name, took(peer)), (name, took(ours)), cold=1)
+        assert bridge.tally.cycles - before >= ROUNDS * TURNS, "not every 0x520 was answered"
     return found
 
 
@@ -139,11 +141,11 @@ def answering() -> Iterator[tuple[Callable[[], None], Bridge]]:
         yield turn, bridge
 
 
-def start_rows(starts: int) -> list[Row]:
-    """Measure a process that could send its first frame now, beside one with the libraries alone."""
+def start_rows() -> list[Ratio]:
+    """Start a process that could send its first frame now, beside one with the libraries alone."""
     took = partial(timed, scale=1.0, of=1, timer=_children_s)
     ours, peer = partial(_python, OUR_START), partial(_python, LEAN + PEER_START)
-    return in_turns("s", starts, (PEER_START, took(peer)), ("start to a first frame", took(ours)), cold=1)
+    return in_turns("s", STARTS, (PEER_START, took(peer)), ("start to a first frame", took(ours)), cold=1)
 
 
 def _python(code: str) -> None:
@@ -155,8 +157,8 @@ def _children_s() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def node_rows(starts: int) -> list[Row]:
-    """Measure the bridge node as the car starts it, from exec to its first frame, on a loopback bus of its own.
+def node_rows() -> list[Ratio]:
+    """Start the bridge node as the car does, from exec to its first frame, on a loopback bus of its own.
 
     Beside it is what any node takes before its first line. Raises AssertionError where no frame comes.
     """
@@ -182,7 +184,7 @@ def node_rows(starts: int) -> list[Row]:
 
         _python(PEER_NODE)
         peer = timed(partial(_python, PEER_NODE), 1.0, of=1, timer=_children_s)
-        return in_turns("s", starts, (PEER_NODE, peer), (NODE_START, started_s))
+        return in_turns("s", STARTS, (PEER_NODE, peer), (NODE_START, started_s))
 
 
 def _processor_s(pid: int) -> float:
@@ -191,21 +193,21 @@ def _processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def mission_rows(missions: Sequence[str], drives: int) -> list[Row]:
-    """Measure whole missions in lockstep, beside a loop that is the same in every version.
+def mission_rows() -> list[Ratio]:
+    """Drive whole missions in lockstep, beside a loop that is the same in every version.
 
     Raises AssertionError where a mission does not pass.
     """
 
     def driven_s(mission: str) -> float:
-        laps = TRACKDRIVE_LAPS if mission == "trackdrive" else None
+        laps = 1 if mission == "trackdrive" else None
         done = Lockstep(WorldSetup(missions=[mission_named(mission)], laps=laps)).run()
         assert done.passed, f"{mission}: {done.verdict.reasons}"
         return done.sim_time_s
 
     peer = ("a fixed loop", timed(_fixed_loop, 1.0, of=1))
-    works = [(f"drive {mission}", timed(partial(driven_s, mission), 1.0)) for mission in missions]
-    return [row for work in works for row in in_turns("s/s driven", drives, peer, work)]
+    works = [(f"drive {mission}", timed(partial(driven_s, mission), 1.0)) for mission in MISSIONS]
+    return [row for work in works for row in in_turns("s/s driven", DRIVES, peer, work)]
 
 
 def _fixed_loop() -> None:

@@ -6,17 +6,13 @@ the path's first 10 m bring the 1.43 m wide car onto the line of cones. The erro
 middle, for a car without a nose (for the car's own sweep the planner moves the path inward in bends). A car beside the
 middle begins its path there, so its first 3 m do not count.
 
-A track is built in, a file (with its middle in NAME_midline.csv beside it, if there is one), or `hairpin-LANE-GAP`:
-two lanes LANE m wide whose inner rows are GAP m apart (0: one row for both), with a hairpin of 9 m outside at each end.
-
-Times are processor time of the planner's call. A peer to compare with is ft-fsd-path-planning (not on PyPI):
-pip install --target DIR "fsd-path-planning @ git+https://github.com/papalotis/ft-fsd-path-planning.git".
+A track is built in, generated, or a file, with its middle in NAME_midline.csv beside it, if there is one.
+Times are processor time of the planner's call.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -29,8 +25,6 @@ from msgspec.structs import replace
 
 from fsai_hil.bench.rows import table
 from fsai_hil.simulator.tracks import Track, TrackError, load_track
-from fsai_hil.simulator.tracks.built_in import circuit_from
-from fsai_hil.simulator.tracks.generator import line_of
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.planning.planner import Planner
@@ -42,11 +36,9 @@ from fsai_vcu.interface.units import S
 RANGE_M, HALF_VIEW_RAD, BLIND_M = 15.0, math.radians(60.0), 0.6
 STEP_M, SPEED_MPS = 0.5, 5.0
 JUDGED_M, SHORT_M, HALF_WIDTH_M = 10.0, 5.0, 1.43 / 2.0
-HAIRPIN_OUTSIDE_M = 9.0  # the smallest of the rules
 RUN = Run(1, Ami.TRACKDRIVE, AsState.AS_DRIVING, may_move=True)
-SEEN_ALONE = 2  # times that a look without others is taken in: a cone seen once is none yet
 SEEN_BEFORE = 4  # looks from the start before the first is judged
-TRACKS = ("small_oval", "autocross", "trackdrive", "random-2", "hairpin-3-0.5", "hairpin-3.5-0", "hairpin-4-1")
+TRACKS = ("small_oval", "autocross", "trackdrive", "random-2")
 HEADS = ("condition", "looks", "mean m", "max m", "failed %", "p50 ms", "p99 ms")
 
 Placed = tuple[Floats, Ints]
@@ -57,7 +49,7 @@ def _as_it_is(xy: Floats, color: Ints, _: object) -> Placed:
     return xy, color
 
 
-class Condition(NamedTuple):
+class Disturbance(NamedTuple):
     """A difference from a perfect look from the middle: the cones that stand there, a look at them, the car's place."""
 
     name: str
@@ -65,7 +57,6 @@ class Condition(NamedTuple):
     laid: Callable[[Floats, Ints, Floats], Placed] = _as_it_is  # the third: the middle, (N, 2)
     off_m: float = 0.0
     off_rad: float = 0.0
-    alone: bool = False  # each look by itself: nothing is remembered of the others
 
 
 def _swapped(xy: Floats, color: Ints, draw: np.random.Generator) -> Placed:
@@ -102,21 +93,20 @@ def _ghosts(xy: Floats, color: Ints, draw: np.random.Generator) -> Placed:
 
 
 CONDITIONS = (
-    Condition("ideal"),
-    Condition("0.5 m and 5 deg off", off_m=0.5, off_rad=math.radians(5.0)),
-    Condition("10 % missing", _missing),
-    Condition("no colours", _colourless),
-    Condition("no colours, look alone", _colourless, alone=True),
-    Condition("noise 0.1 m", lambda xy, color, draw: (xy + 0.1 * draw.standard_normal(xy.shape), color)),
-    Condition("clutter", laid=_cluttered),
-    Condition("ghosts", _ghosts),
-    Condition("5 % swapped, by look", _swapped),
+    Disturbance("ideal"),
+    Disturbance("0.5 m and 5 deg off", off_m=0.5, off_rad=math.radians(5.0)),
+    Disturbance("10 % missing", _missing),
+    Disturbance("no colours", _colourless),
+    Disturbance("noise 0.1 m", lambda xy, color, draw: (xy + 0.1 * draw.standard_normal(xy.shape), color)),
+    Disturbance("clutter", laid=_cluttered),
+    Disturbance("ghosts", _ghosts),
+    Disturbance("5 % swapped, by look", _swapped),
     # The same cones in every look: the detector has a reason.
-    Condition("5 % swapped, by cone", laid=lambda xy, color, line: _swapped(xy, color, np.random.default_rng(5))),
+    Disturbance("5 % swapped, by cone", laid=lambda xy, color, line: _swapped(xy, color, np.random.default_rng(5))),
 )
 
 
-class Row(NamedTuple):
+class LaneFigures(NamedTuple):
     """The result of one track under one condition."""
 
     track: str
@@ -141,7 +131,7 @@ def middle_of(track: Track, name: str) -> Floats:
     return resampled(np.concatenate((line, line[:1])), STEP_M)
 
 
-def motions(line: Floats, condition: Condition) -> Iterator[Motion]:
+def motions(line: Floats, condition: Disturbance) -> Iterator[Motion]:
     """Yield the car at each point of a closed line, beside it by what the condition says, now left and now right."""
     cos, sin = headings_along(np.concatenate((line[-1:], line, line[:1])))
     yaws = np.unwrap(np.arctan2(sin, cos))[1:-1]
@@ -159,7 +149,7 @@ def motions(line: Floats, condition: Condition) -> Iterator[Motion]:
         )
 
 
-def judged(track: Track, line: Floats, condition: Condition, name: str) -> Row:
+def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> LaneFigures:
     """Carry the planner once round, from the first point of the line."""
     draw = np.random.default_rng(7)
     cones, colors = condition.laid(track.cones_xy_m, track.cone_colors, line)
@@ -178,10 +168,6 @@ def judged(track: Track, line: Floats, condition: Condition, name: str) -> Row:
         far, angle = np.hypot(here[:, 0], here[:, 1]), np.abs(np.arctan2(here[:, 1], here[:, 0]))
         seen = (far < RANGE_M) & (angle < HALF_VIEW_RAD) & (here[:, 0] > BLIND_M)
         xy, color = condition.seen(here[seen], colors[seen], draw)
-        if condition.alone:
-            planner.reset(RUN)
-            for _ in range(SEEN_ALONE - 1):
-                planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
         began_s = time.thread_time()
         plan = planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
         took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))
@@ -201,7 +187,7 @@ def judged(track: Track, line: Floats, condition: Condition, name: str) -> Row:
             failed_at_m.append(index * STEP_M)
     mean_m = float(np.mean([error_m.mean() for error_m in errors])) if errors else math.nan
     most_m = max((float(error_m.max()) for error_m in errors), default=math.nan)
-    return Row(name, condition.name, looks, tuple(failed_at_m), mean_m, most_m, tuple(took_ms))
+    return LaneFigures(name, condition.name, looks, tuple(failed_at_m), mean_m, most_m, tuple(took_ms))
 
 
 def _distances(points: Floats, line: Floats) -> Floats:
@@ -213,39 +199,11 @@ def _distances(points: Floats, line: Floats) -> Floats:
     return np.asarray(np.hypot(away[..., 0], away[..., 1]).min(axis=1))
 
 
-def hairpins(lane_m: float, gap_m: float) -> Track:
-    """Lay out a closed circuit of two lanes beside each other, 25 m long, with a hairpin at each end.
-
-    A hairpin wider than the two lanes is reached through a bend outward, as the bulb of a lamp from its neck.
-    """
-    turn_m, neck_m = 0.5 * (HAIRPIN_OUTSIDE_M - lane_m), 8.0  # radii of the middle
-    spread = math.acos(min(1.0, (0.5 * (lane_m + gap_m) + neck_m) / (turn_m + neck_m)))
-    neck, turn = (neck_m * spread, -1.0 / neck_m), (turn_m * (math.pi + 2.0 * spread), 1.0 / turn_m)
-    line = line_of(((25.0, 0.0), neck, turn, neck) * 2)[:-1]
-    track = circuit_from(f"hairpin-{lane_m:g}-{gap_m:g}", line, 12.0, lane_m, 3.5)
-    # Where both lanes have a blue cone in the same row one is laid.
-    near = np.tril(gaps(track.cones_xy_m, track.cones_xy_m) < 1.2, -1)
-    blue = track.cone_colors == ConeColor.BLUE
-    alone = ~(near & blue & blue[:, None]).any(axis=1)
-    return replace(track, cones_xy_m=track.cones_xy_m[alone], cone_colors=track.cone_colors[alone])
-
-
-def track_named(name: str) -> Track:
-    """Return a track as the command line names it; raises TrackError."""
-    if not name.startswith("hairpin-"):
-        return load_track(name)
-    try:
-        lane_m, gap_m = map(float, name.split("-")[1:])
-    except ValueError:
-        raise TrackError(f"{name}: not hairpin-LANE-GAP, in metres") from None
-    return hairpins(lane_m, gap_m)
-
-
-def bench(names: Sequence[str], conditions: Sequence[Condition] = CONDITIONS) -> list[Row]:
+def bench(names: Sequence[str], conditions: Sequence[Disturbance] = CONDITIONS) -> list[LaneFigures]:
     """Return a row for each track and condition."""
     rows = []
     for name in names:
-        track = track_named(name)
+        track = load_track(name)
         line = middle_of(track, name)
         label = Path(name).stem if name.endswith(".csv") else name
         for condition in conditions:
@@ -255,7 +213,7 @@ def bench(names: Sequence[str], conditions: Sequence[Condition] = CONDITIONS) ->
     return rows
 
 
-def table_of(rows: Sequence[Row]) -> str:
+def table_of(rows: Sequence[LaneFigures]) -> str:
     """Return all tracks together, a line for each condition; then what failed where. As Markdown."""
     lines = []
     for name in dict.fromkeys(row.condition for row in rows):
@@ -275,7 +233,7 @@ def table_of(rows: Sequence[Row]) -> str:
     return "\n".join([table(HEADS, lines), *[""] * bool(failures), *failures])
 
 
-def document(rows: Sequence[Row]) -> str:
+def document(rows: Sequence[LaneFigures]) -> str:
     """Return the tables as a page: generated circuits by themselves."""
     how = (__doc__ or "").split("\n\n")[1].replace("\n", " ")
     parts = ["# Planning", "Made by `make planning`; do not edit.", how]
@@ -290,10 +248,7 @@ def document(rows: Sequence[Row]) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("tracks", nargs="*", metavar="TRACK", default=list(TRACKS))
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure of every track there, too")
-    parser.add_argument(
-        "-o", "--output", dest="out", type=Path, metavar="FILE.md", help="write the tables as a page, too"
-    )
+    parser.add_argument("-o", dest="out", type=Path, metavar="FILE.md", help="write the tables as a page, too")
     names = [condition.name for condition in CONDITIONS]
     parser.add_argument("--condition", action="append", choices=names, help="only this one")
     parser.set_defaults(run=run)
@@ -304,6 +259,4 @@ def run(args: argparse.Namespace) -> str:
     print(table_of(rows))
     if args.out:
         args.out.write_text(document(rows), encoding="utf-8")
-    if args.json:
-        args.json.write_text(json.dumps([row._asdict() for row in rows]), encoding="utf-8")
     return ""

@@ -9,7 +9,7 @@ from typing import Any
 
 BETWEEN_RUNS = 0.1  # by how much a ratio differs between two runs of the same code, beside the spread of their rounds
 TOO_NOISY = 0.5  # what differs by more within a run shows no fall
-Row = dict[str, Any]
+Ratio = dict[str, Any]
 Took = Callable[[], float]
 """A measurement: does its work, and returns how long one unit of that took."""
 
@@ -42,14 +42,14 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
     return {name: float(f"{figure:.4g}") for name, figure in figures.items()} or None
 
 
-def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: Sequence[float] = ()) -> Row:
+def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: Sequence[float] = ()) -> Ratio:
     """Return one row of the results. Its `ratio` is the peer's time by ours, round by round; None without a peer."""
     figures = {"ours": spread(ours), "peer": spread(peer)}
     ratio = spread([theirs / own for own, theirs in zip(ours, peer, strict=False)])
     return {"name": name, "unit": unit, "peer_name": peer_name, **figures, "ratio": ratio}
 
 
-def in_turns(unit: str, rounds: int, peer: tuple[str, Took], *ours: tuple[str, Took], cold: int = 0) -> list[Row]:
+def in_turns(unit: str, rounds: int, peer: tuple[str, Took], *ours: tuple[str, Took], cold: int = 0) -> list[Ratio]:
     """Measure the peer and each work by name in every round, and return a row for each work.
 
     A machine that slows down slows both. The first `cold` rounds, in which is done what is done once, do not count.
@@ -63,27 +63,22 @@ def in_turns(unit: str, rounds: int, peer: tuple[str, Took], *ours: tuple[str, T
     return [row(name, unit, took[name][cold:], peer[0], took[peer[0]][cold:]) for name, _ in ours]
 
 
-def compared(rows: Sequence[Row], baseline: Row, here: Row) -> tuple[str, list[str]]:
-    """Return a table of each ratio beside the baseline's, and the names of those that fell by more than their noise.
+def fallen(rows: Sequence[Ratio], baseline: Ratio, processors: int) -> list[str]:
+    """Return the ratios that fell below the baseline's by more than their noise, and what is measured no more.
 
-    `here` describes this machine: a wall time says nothing beside that of a machine with other processors.
+    A wall time says nothing beside that of a machine with another number of processors.
     """
-    before = {each["name"]: each["ratio"] for each in baseline["results"]}
-    processors = baseline["machine"]["processors"]
-    lines, fell = [], []
-    for name, now in ((each["name"], each["ratio"]) for each in rows if each["name"] in before):
-        was, words = before[name], ""
-        change = now["median"] / was["median"] - 1
-        noise = BETWEEN_RUNS + sum((each["most"] - each["least"]) / 2 / each["median"] for each in (now, was))
-        if name.endswith(", wall") and here["processors"] != processors:
-            words = f"not judged: {here['processors']} processors, and {processors} in the baseline"
-        elif noise > TOO_NOISY:
-            words = "not judged: too noisy"
-        elif change < -noise:
-            words = "FELL"
-            fell.append(name)
-        lines.append((name, f"{was['median']:.3g}", f"{now['median']:.3g}", f"{change:.0%}", f"{noise:.0%}", words))
-    return table(("ratio", "baseline", "now", "change", "noise", ""), lines), fell
+    now = {each["name"]: each["ratio"] for each in rows}
+    found = []
+    for name, was in ((each["name"], each["ratio"]) for each in baseline["results"]):
+        if name not in now:
+            found.append(f"{name} is not measured")
+        elif not name.endswith(", wall") or processors == baseline["machine"]["processors"]:
+            change = now[name]["median"] / was["median"] - 1
+            noise = BETWEEN_RUNS + sum((one["most"] - one["least"]) / 2 / one["median"] for one in (now[name], was))
+            if change < -noise and noise <= TOO_NOISY:
+                found.append(f"{name} fell from {was['median']:.3g} to {now[name]['median']:.3g} ({change:.0%})")
+    return found
 
 
 def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:

@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.rehearsal.inspection.items import ITEMS
     from fsai_hil.rehearsal.inspection.judge import items_named
     from fsai_hil.rehearsal.inspection.program import RehearsalProcess, run_rehearsal
-    from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
+    from fsai_hil.rehearsal.inspection.rehearsal import RehearsalWorld
     from fsai_hil.rehearsal.inspection.report import as_dict, page, passed, text
     from fsai_vcu.runtime.bus import open_bus
 
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from None
     out: Path = args.out.resolve()
     args.auto, args.timeout, args.log = True, None, str(out / "bus.log")
-    rehearsal = Rehearsal(
+    rehearsal = RehearsalWorld(
         items,
         revision=args.revision,
         profile=args.profile,

@@ -177,18 +177,20 @@ SCRIPTS: Final = st.tuples(
 # ---------------------------------------------------------------- the property
 
 
-class Done(NamedTuple):
-    """The outcome of scripts that were played."""
+class Broken(Exception):
+    """A script that breaks a rule, or at which the process fails, and how, in words."""
 
-    scripts: int
-    cycles: int
+
+class Done(NamedTuple):
+    """The outcome of the scripts of one seed."""
+
+    failure: str
     reached: set[str]
-    failure: str  # the script that broke a rule, and how
 
 
 def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     """Play the scripts of one seed, as far as the first that breaks a rule."""
-    scripts, cycles, reached, failures = 0, 0, set[str](), [""]
+    reached = set[str]()
 
     @hypothesis.seed(seed)
     @hypothesis.settings(
@@ -202,82 +204,60 @@ def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     )
     @hypothesis.given(SCRIPTS)
     def holds(script: tuple[str, str, list[list[Step]]]) -> None:
-        """Play one script, and keep it in words where it fails."""
-        nonlocal scripts, cycles
         setup, station, happens = script
         steps = [step for step in itertools.chain(*happens) if step != ("run", {"cycles": 0})]
-        scripts += 1
         try:
-            drive = copy.deepcopy(kept(setup, station))
-            try:
-                drive.play(steps)
-            finally:
-                cycles += drive.cycles
-                reached.update(drive.reached)
+            drive = copy.deepcopy(kept(setup, station)).play(steps)
         except Exception as error:
             calls = (f"{name}({', '.join(f'{key}={one!r}' for key, one in given.items())})" for name, given in steps)
             words = [f"{setup}, from {station}:", *calls, f"{type(error).__name__}: {error}"]
-            failures.append("\n  ".join(words))
-            raise
+            raise Broken("\n  ".join(words)) from error
+        reached.update(drive.reached)
 
     try:
         holds()
-    except Exception:
-        assert failures[-1], "only a script fails"
-    return Done(scripts, cycles, reached, f"seed {seed}, {failures[-1]}" if failures[-1] else "")
+    except Broken as error:
+        return Done(f"seed {seed}, {error}", reached)
+    return Done("", reached)
 
 
 def campaign(first_seed: int, jobs: int, minutes: float) -> bool:
     """Play one seed after the other in `jobs` processes until the time is over or a rule is broken. True: none is."""
-    began_s, found = time.monotonic(), list[Done]()
+    until_s, reached = time.monotonic() + 60.0 * minutes, set[str]()
     in_time = itertools.takewhile(
-        lambda seed: (
-            seed == first_seed or not (any(one.failure for one in found) or time.monotonic() - began_s > 60.0 * minutes)
-        ),
-        itertools.count(first_seed),
+        lambda seed: seed == first_seed or time.monotonic() < until_s, itertools.count(first_seed)
     )
-    try:
-        for one in followed(spread(batch, in_time, jobs), "seeds", None, lambda one: one.failure, "broke a rule"):
-            found.append(one)
-    except KeyboardInterrupt:
-        print("interrupted: this is what was done until then", flush=True)
-    print(f"{sum(one.scripts for one in found):,} scripts, {sum(one.cycles for one in found):,} cycles of the car")
-    print(f"  phases and reasons not reached: {', '.join(sorted(REACHED.difference(*(one.reached for one in found))))}")
-    broken = any(one.failure for one in found)
-    print("\nBROKEN: see above." if broken else "\nEvery rule held on the wire.")
-    return not broken
+    for one in followed(spread(batch, in_time, jobs), "seeds", None, lambda one: one.failure, "broke a rule"):
+        reached |= one.reached
+        if one.failure:
+            print("\nBROKEN: see above.")
+            return False
+    print(f"phases and reasons not reached: {', '.join(sorted(REACHED - reached))}\n\nEvery rule held on the wire.")
+    return True
 
 
-def sought(name: str) -> tuple[str, str, int]:
-    """Put the seeded fault of that name into the rules and play scripts until it shows on the wire.
-
-    Returns the name, what was broken ("" for nothing in `SEEDED_S`), and how many scripts that took.
-    """
-    began_s, scripts, broken = time.process_time(), 0, ""
+def sought(name: str) -> tuple[str, str]:
+    """Put the seeded fault of that name into the rules; return it, and what breaks in `SEEDED_S` ("": nothing)."""
+    until_s, broken = time.process_time() + SEEDED_S, ""
     seed = next((one for one in SEEDS if one.name == name), None)
     setups = {key: seed.configured(one) if seed else one for key, one in fuzz_drive.SETUPS.items()}
     kept.cache_clear()  # where the code is changed on purpose, the ways must be gone again
     with patched(((fuzz_drive, "SETUPS", setups), *(seed.patches if seed else ()))):
         for number in itertools.count(1):
-            done = batch(number, shrink=False)
-            scripts, broken = scripts + done.scripts, done.failure.rpartition("\n")[2].strip()
-            if broken or time.process_time() - began_s > SEEDED_S:
+            broken = batch(number, shrink=False).failure
+            if broken or time.process_time() > until_s:
                 break
     kept.cache_clear()
-    return name, broken, scripts
+    return name, broken.rpartition("\n")[2].strip()
 
 
 def seek_all(jobs: int) -> bool:
     """Seek every seeded fault, and nothing where there is none. True: so many are found, and nothing wrong is."""
-    print(f"{len(SEEDS)} faults put into the rules on purpose, each sought on the wire:", flush=True)
-    found, sound = 0, False
-    for name, words, scripts in spread(sought, ["", *(seed.name for seed in SEEDS)], jobs):
-        found += bool(name and words)
-        sound |= not (name or words)
-        print(
-            f"  {name or 'none: the rules as they are':58} {scripts:5} scripts  {(words or 'NOT FOUND')[:100]}",
-            flush=True,
-        )
+    broken = dict[str, str]()
+    for name, words in spread(sought, ["", *(seed.name for seed in SEEDS)], jobs):
+        broken[name] = words
+        print(f"  {name or 'none: the rules as they are':58} {(words or 'NOT FOUND')[:100]}", flush=True)
+    sound, found = not broken.pop(""), sum(map(bool, broken.values()))
     print(f"{found} of {len(SEEDS)} found, at least {math.ceil(FOUND * len(SEEDS))} must be")
     print(f"the rules as they are: {'held' if sound else 'BROKEN'}")
     return sound and found >= FOUND * len(SEEDS)

@@ -114,7 +114,7 @@ class FaultKind(Value, frozen=True):
         return "; ".join(str(draw) for draw in self.draws)
 
 
-class Fault(Value, frozen=True):
+class Entry(Value, frozen=True):
     """The beginning of a row: its name, and what it is."""
 
     name: str
@@ -200,7 +200,7 @@ def _message(
     late, cut = Draw("delay", *late_ms), Draw("length", (0, BY_ID[can_id].dlc - 1))
     times, bits = Draw("times", (2, 5)), Draw("bits", (1, 8))
     return tuple(
-        Fault(f"{prefix}_{name}", f"{of} (0x{can_id:03X}){', as the car receives it,' if ours else ''} {does}").by(
+        Entry(f"{prefix}_{name}", f"{of} (0x{can_id:03X}){', as the car receives it,' if ours else ''} {does}").by(
             on_wire(fault), must, *draws
         )
         for name, does, fault, must, *draws in (
@@ -247,38 +247,38 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         frozen=NO_ECHO,
         frozen_ms=((10, 60), (150, 3000)),
     ),
-    Fault("status_jittering", "0x520 comes at irregular times, in order").by(
+    Entry("status_jittering", "0x520 comes at irregular times, in order").by(
         inject.from_car({inject.STATUS}, "jittering"), NOTHING, Draw("delay", (1, 25))
     ),
-    Fault("status_falls_back", "0x520 shows another AS state for a while, the car drives").by(
+    Entry("status_falls_back", "0x520 shows another AS state for a while, the car drives").by(
         inject.status_shows(lambda p: {"as_state": AsState[p["state"]]}),
         ends(End.STOP, End.SELF, End.ESTOP, note="back in AS_DRIVING it brakes to rest"),
         SHOWN,
         Draw("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
     ),
-    Fault("status_go_off", "0x520 shows GO_SIGNAL 0, the car drives").by(
+    Entry("status_go_off", "0x520 shows GO_SIGNAL 0, the car drives").by(
         inject.status_shows(lambda p: {"go_signal": False}), STOP, SHOWN
     ),
-    Fault("status_fault_bit", "0x520 shows FAULT_STATUS 1, the car drives").by(
+    Entry("status_fault_bit", "0x520 shows FAULT_STATUS 1, the car drives").by(
         inject.status_shows(lambda p: {"fault": True}), STOP, SHOWN
     ),
-    Fault("status_undefined_as_state", "0x520 shows an AS_STATE that no table knows, the car drives").by(
+    Entry("status_undefined_as_state", "0x520 shows an AS_STATE that no table knows, the car drives").by(
         inject.from_car({inject.STATUS}, "undefined AS_STATE"),
         Graded(((0, PAUSE), (100, estop(100)))),
         lasts((10, 40), (60, 86), (130, 2500)),
         Draw("state", (6, 15)),
     ),
-    Fault("status_flickering_as_state", "0x520 shows an AS_STATE that no table knows in every other frame").by(
+    Entry("status_flickering_as_state", "0x520 shows an AS_STATE that no table knows in every other frame").by(
         inject.from_car({inject.STATUS}, "flickering AS_STATE"), PAUSE, lasts((30, 1500)), Draw("state", (6, 15))
     ),
-    Fault("status_state_fault", "0x520 shows one of its states as FAULT while FAULT_STATUS stays 0, the car drives").by(
+    Entry("status_state_fault", "0x520 shows one of its states as FAULT while FAULT_STATUS stays 0, the car drives").by(
         inject.status_shows(lambda p: {p["state"]: FAULT_STATES[p["state"]]}),
         STOP,
         SHOWN,
         Draw("state", *FAULT_STATES),
         revisions=("2026",),
     ),
-    Fault("status_ami", "0x520 shows another mission, or none, the car drives").by(
+    Entry("status_ami", "0x520 shows another mission, or none, the car drives").by(
         inject.status_shows(lambda p: {"ami": Ami[p["ami"]]}),
         STOP,
         SHOWN,
@@ -286,7 +286,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         missions=EVERY_MISSION - {Ami.AUTONOMOUS_DEMO},
     ),
     *(
-        Fault(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
+        Entry(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
             inject.status_shows(shown), STOP, SHOWN, *draws
         )
         for name, what, shown, *draws in (
@@ -307,11 +307,11 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ),
         )
     ),
-    Fault(
+    Entry(
         "status_old_marks",
         "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits, a SHUTDOWN_CAUSE or states since before the run",
     ).by(inject.status_shows(lambda p: OLD_MARKS[p["mark"]]), NOTHING, Draw("mark", *OLD_MARKS), from_start=True),
-    Fault("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
+    Entry("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
         inject.together(
             inject.status_shows(lambda p: {"ami": Ami.NOT_SELECTED}),
             inject.vcu_differs(ready_without_acknowledgement=True),
@@ -319,28 +319,28 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         NO_DRIVE,
         from_start=True,
     ),
-    Fault("vcu_hasty", "the VCU takes Go so many ms after AS_READY began, not after 5 s").by(
+    Entry("vcu_hasty", "the VCU takes Go so many ms after AS_READY began, not after 5 s").by(
         inject.together(inject.vcu_differs(ready_wait_ns=MS), inject.hasty_go),
         NO_DRIVE,
         Draw("ready", (20, 60), (500, 4700)),
         from_start=True,
     ),
-    Fault("vcu_shows_go_all_along", "0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen").by(
+    Entry("vcu_shows_go_all_along", "0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen").by(
         inject.status_shows(lambda p: {"go_signal": True}), NO_DRIVE, from_start=True
     ),
-    Fault("handshake_inverted", "HANDSHAKE toggles wrong on its way: inverted").by(
+    Entry("handshake_inverted", "HANDSHAKE toggles wrong on its way: inverted").by(
         inject.wild_handshake, NO_ECHO, lasts((10, 60), (150, 3000)), Draw("way", "inverted")
     ),
-    Fault("handshake_random", "HANDSHAKE toggles wrong on its way: by chance").by(
+    Entry("handshake_random", "HANDSHAKE toggles wrong on its way: by chance").by(
         inject.wild_handshake, MAY_STOP_ITSELF, lasts((10, 3000)), Draw("way", "random")
     ),
-    Fault("handshake_stuck", "HANDSHAKE stands still on its way").by(
+    Entry("handshake_stuck", "HANDSHAKE stands still on its way").by(
         inject.status_shows(lambda p: {"handshake": p["bit"] == "1"}),
         NO_ECHO,
         lasts((10, 60), (150, 3000)),
         Draw("bit", "0", "1"),
     ),
-    Fault("handshake_slow", "our echo reaches the car late, within its patience").by(
+    Entry("handshake_slow", "our echo reaches the car late, within its patience").by(
         inject.to_car({inject.AI_STATUS}, "late"), NOTHING, Draw("delay", (20, 70))
     ),
     *_limit("front_limit", inject.DRIVE_F, "the front axle's torque limit"),
@@ -349,22 +349,22 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_needless("brakes", inject.BRAKE, "brake feedback", lost=Graded(((0, ECHO_REPLACED),))),
     *_feedback("speeds", inject.SPEEDS, "wheel speeds", frozen=ANY),
     *_needless("counts", inject.COUNTS, "wheel pulses", frozen=UNBELIEVED),
-    Fault("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
+    Entry("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
         inject.from_car(inject.LOGS, "flipped"), NOTHING, lasts((20, 4000)), Draw("bits", (1, 12))
     ),
-    Fault("everything_thinned", "each frame of the car is lost by chance").by(
+    Entry("everything_thinned", "each frame of the car is lost by chance").by(
         inject.from_car(inject.FROM_CAR, "thinned"), NOTHING, Draw("share", (0.01, 0.12))
     ),
-    Fault("car_silent", "we receive nothing of the car, it receives us").by(
+    Entry("car_silent", "we receive nothing of the car, it receives us").by(
         inject.from_car(inject.FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
-    Fault("vcu_hangs", "the VCU neither sends nor receives for a while").by(
+    Entry("vcu_hangs", "the VCU neither sends nor receives for a while").by(
         inject.together(inject.from_car(inject.FROM_CAR, "lost"), inject.to_car(AI_IDS, "lost")),
         LOST_STATUS,
         lasts(*STATUS_BANDS),
     ),
     *(
-        Fault(f"gps_{name}", what).by(
+        Entry(f"gps_{name}", what).by(
             inject.from_car(inject.GPS_IDS, fault), NOTHING, lasts((50, 4000)), *draws, gps=True
         )
         for name, what, fault, *draws in (
@@ -388,10 +388,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_incoming_torque(
         "ai_brake", inject.AI_BRAKE, "our brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)
     ),
-    Fault("ai_thinned", "each of our frames is lost on its way by chance").by(
+    Entry("ai_thinned", "each of our frames is lost on its way by chance").by(
         inject.to_car(AI_IDS, "thinned"), MAY_STOP_ITSELF, Draw("share", (0.01, 0.12))
     ),
-    Fault("intruder", "somebody else sends on one of our ids").by(
+    Entry("intruder", "somebody else sends on one of our ids").by(
         inject.intruder,
         ends(End.ESTOP, End.SELF, safe_ms=35, asks=True),
         Draw("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
@@ -399,15 +399,15 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         Draw("period", (1, 20)),
         Draw("payload", "zeros", "random"),
     ),
-    Fault("other_revision", "frames that only another revision has come beside the car's: they are named").by(
+    Entry("other_revision", "frames that only another revision has come beside the car's: they are named").by(
         inject.other_revision, NOTHING, lasts((20, 4000)), revisions=("2026",)
     ),
-    Fault("stranger", "unknown, extended, remote and error frames every millisecond").by(
+    Entry("stranger", "unknown, extended, remote and error frames every millisecond").by(
         inject.stranger, NOTHING, lasts((20, 1500))
     ),
     # ---------------------------------------------------------------- sensors
     *(
-        Fault(f"wheel_{name}", f"one wheel speed {what}").by(
+        Entry(f"wheel_{name}", f"one wheel speed {what}").by(
             inject.reading(change, "wheel_rpm"), must, EACH_WHEEL, *draws, missions=ROAD_MISSIONS
         )
         for name, what, change, must, *draws in (
@@ -420,35 +420,35 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("noisy", "is a little noisy, sigma in rpm", "noisy", NOTHING, Draw("size", (1, 8))),
         )
     ),
-    Fault("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
+    Entry("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
         inject.from_car({inject.SPEEDS}, "impossible speeds"),
         LOST_FEEDBACK,
         lasts(*FEEDBACK_BANDS),
         Draw("wheel", *inject.WHEELS, "all"),
         Draw("rpm", "1251", "1300", "65535"),
     ),
-    Fault(
+    Entry(
         "wheel_spiking",
         "one wheel speed jumps in every so many frames by more than any tyre can follow: such a frame is not believed",
     ).by(inject.spiking_speed, NOTHING, EACH_WHEEL, Draw("every", (2, 6))),
-    Fault(
+    Entry(
         "wheels_jumping",
         "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there: not believed",
     ).by(inject.reading("offset", "wheel_rpm"), LOST_FEEDBACK.steps[-1][1], Draw("size", (400, 800))),
-    Fault("wheels_stuck", "all wheel speeds stand still").by(inject.reading("stuck", "wheel_rpm"), ANY, UPSET),
-    Fault("wheels_dead", "all wheel speeds read 0").by(inject.reading("dead", "wheel_rpm"), UNBELIEVED, UPSET),
-    Fault("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
+    Entry("wheels_stuck", "all wheel speeds stand still").by(inject.reading("stuck", "wheel_rpm"), ANY, UPSET),
+    Entry("wheels_dead", "all wheel speeds read 0").by(inject.reading("dead", "wheel_rpm"), UNBELIEVED, UPSET),
+    Entry("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
         inject.swapped_wheels,
         ends(End.ON, End.STOP, End.ESTOP, note="curves may make them implausible"),
         Draw("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
         missions=ROAD_MISSIONS,
     ),
-    Fault("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
+    Entry("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
         inject.reading("wrong pulses", "pulses"),
         Graded((("stuck", UNBELIEVED),), "way"),
         Draw("way", "stuck", "double", "random"),
     ),
-    Fault(
+    Entry(
         "pulses_running_on",
         "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
     ).by(
@@ -458,7 +458,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         Draw("rate", (30, 400)),
     ),
     *(
-        Fault(f"steering_sensor_{name}", f"the steering angle measured {what}").by(
+        Entry(f"steering_sensor_{name}", f"the steering angle measured {what}").by(
             inject.reading(change, "steer_deg"), must, *draws
         )
         for name, what, change, must, *draws in (
@@ -469,11 +469,11 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("slightly_off", "is off by up to 1 deg", "offset", NOTHING, Draw("size", (-1.0, 1.0))),
         )
     ),
-    Fault("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
+    Entry("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
         inject.reading("stuck or noise", *inject.BRAKES), NOTHING, Draw("way", "stuck", "noise")
     ),
     *(
-        Fault(f"gyro_{change}", f"the yaw rate of the PCAN-GPS {what}").by(
+        Entry(f"gyro_{change}", f"the yaw rate of the PCAN-GPS {what}").by(
             inject.reading(change, "yaw_rate_radps"), NOTHING, draw, missions=ROAD_MISSIONS, gps=True
         )
         for change, what, draw in (
@@ -483,7 +483,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     # ---------------------------------------------------------------- actuators
     *(
-        Fault(f"steering_{name}", f"the steering {what}").by(inject.ordered(change, "steer_deg"), ODD, *draws)
+        Entry(f"steering_{name}", f"the steering {what}").by(inject.ordered(change, "steer_deg"), ODD, *draws)
         for name, what, change, *draws in (
             ("stuck_rack", "sticks", "slow"),
             ("free", "does not follow: it returns to straight", "dead"),
@@ -493,25 +493,25 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("inverted", "turns the wrong way", "inverted"),
         )
     ),
-    Fault("motor_dead", "no motor gives torque").by(
+    Entry("motor_dead", "no motor gives torque").by(
         inject.ordered("dead", *inject.TORQUES), ends(End.ON, note="as far as it rolls")
     ),
-    Fault("motor_weak", "the motors give a part of the torque").by(
+    Entry("motor_weak", "the motors give a part of the torque").by(
         inject.ordered("scaled", *inject.TORQUES), NOTHING, Draw("factor", (0.1, 0.7))
     ),
-    Fault("motor_one_axle", "one of the two driven axles gives no torque").by(
+    Entry("motor_one_axle", "one of the two driven axles gives no torque").by(
         inject.ordered("dead", "front_torque_nm"), NOTHING, revisions=("2021",)
     ),
-    Fault("motor_late", "torque comes and goes late, in ms").by(
+    Entry("motor_late", "torque comes and goes late, in ms").by(
         inject.ordered("late", *inject.TORQUES), NOTHING, Draw("delay", (20, 200))
     ),
-    Fault("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
+    Entry("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
         inject.together(inject.ordered("runs on", "rear_torque_nm"), inject.manual_asked),
         INEFFECTIVE,
         Draw("torque", (20.0, 150.0)),
     ),
     *(
-        Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(
+        Entry(f"brakes_{name}", f"{what}, and we are asked to stop").by(
             inject.together(inject.ordered(change, *brakes), inject.manual_asked), must, *draws
         )
         for name, what, change, brakes, must, *draws in (
@@ -536,12 +536,12 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("rear_only", "the front brakes do nothing", "dead", inject.BRAKES[:1], INEFFECTIVE),
         )
     ),
-    Fault("brakes_fail_driving", "the service brake does nothing while it drives").by(
+    Entry("brakes_fail_driving", "the service brake does nothing while it drives").by(
         inject.ordered("dead", *inject.BRAKES), ROUGH
     ),
     # ---------------------------------------------------------------- people, switches, the VCU
     *(
-        Fault(name, what).by(inject.put(f"world.vcu.switches.{switch}", value), ITSELF)
+        Entry(name, what).by(inject.put(f"world.vcu.switches.{switch}", value), ITSELF)
         for name, what, switch, value in (
             ("go_off", "the remote's Go is withdrawn", "go", False),
             ("asms_off", "ASMS is turned off", "asms", False),
@@ -556,31 +556,31 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("hvil_open", "the high-voltage interlock opens", "hvil_open", True),
         )
     ),
-    Fault("ami_changed", "somebody turns the AMI in AS_DRIVING").by(
+    Entry("ami_changed", "somebody turns the AMI in AS_DRIVING").by(
         inject.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), STOP, missions=ROAD_MISSIONS
     ),
-    Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock").by(
+    Entry("steering_status_off", "STEERING_STATUS shows off: reported, no interlock").by(
         inject.put("world.vcu.switches.steering_fault", True), NOTHING
     ),
-    Fault("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock").by(
+    Entry("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock").by(
         inject.put("world.vcu.switches.brake_fault", True), NOTHING
     ),
-    Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
+    Entry("torque_derated", "the car lowers TRQ_MAX while it drives").by(
         inject.derated, WITHIN_LIMIT, Draw("limit", "torque_limit_nm"), Draw("value", (0.0, 120.0))
     ),
-    Fault("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
+    Entry("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
         inject.derated, WITHIN_LIMIT, Draw("limit", "steer_limit_deg"), Draw("value", (2.0, 20.0))
     ),
-    Fault("vcu_reboots", "the VCU loses its power for a moment and starts again").by(
+    Entry("vcu_reboots", "the VCU loses its power for a moment and starts again").by(
         inject.put("world.vcu.switches.lvms", False),
         ends(End.OFF, End.SELF, End.ESTOP, note="a drive needs the whole sequence again"),
         lasts((5, 2000)),
     ),
-    Fault("manual_asked", "manual mode is asked for while it drives").by(inject.manual_asked, STOP),
-    Fault("emergency_asked", "the emergency brake is asked for").by(
+    Entry("manual_asked", "manual mode is asked for while it drives").by(inject.manual_asked, STOP),
+    Entry("emergency_asked", "the emergency brake is asked for").by(
         lambda fault, rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns), estop(0)
     ),
-    Fault("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives: all refused").by(
+    Entry("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives: all refused").by(
         inject.together(
             lambda fault, rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns),
             lambda fault, rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns),
@@ -588,7 +588,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         ),
         NOTHING,
     ),
-    Fault("software_stopped", "this software is stopped in order while the car drives").by(
+    Entry("software_stopped", "this software is stopped in order while the car drives").by(
         lambda fault, rig, p, t_ns: rig.bridge.begin_stop(t_ns),
         ends(
             *(End.ESTOP, End.SELF, End.STOP),
@@ -598,32 +598,32 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     # ---------------------------------------------------------------- planner, controller, detector
     *(
-        Fault(name, what).by(inject.put(part, False), OLD_DATA, lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
+        Entry(name, what).by(inject.put(part, False), OLD_DATA, lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
         for name, what, part in (
             ("planner_silent", "the planner hangs for a while", "computer.planner_running"),
             ("detector_silent", "the detector stops for a while", "detects"),
         )
     ),
-    Fault("planner_restarted", "the planner ends and is started again in mid-drive").by(
+    Entry("planner_restarted", "the planner ends and is started again in mid-drive").by(
         inject.restarted("planner"),
         replace(RESTARTED, brake_ms=OLD_STOPS.brake_ms),
         lasts((0, 400), (950, 3000)),
         missions=PATH_MISSIONS,
     ),
-    Fault("planner_restarted_unneeded", "the same where nobody needs its paths").by(
+    Entry("planner_restarted_unneeded", "the same where nobody needs its paths").by(
         inject.restarted("planner"),
         RESTARTED,
         lasts((0, 2000)),
         missions=EVERY_MISSION - PATH_MISSIONS,
     ),
-    Fault("planner_late", "each plan comes late, with the stamp of its data").by(
+    Entry("planner_late", "each plan comes late, with the stamp of its data").by(
         inject.late_plans,
         replace(OLD_DATA, of="delay"),
         Draw("delay", (20, 200), (950, 1500)),
         missions=PATH_MISSIONS,
     ),
     *(
-        Fault(f"planner_{name}", what).by(inject.plans(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS)
+        Entry(f"planner_{name}", what).by(inject.plans(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS)
         for name, what, change, *draws in (
             ("empty", "the planner finds no way: empty paths", lambda plan, at: None),
             ("absurd", "the planner's paths go anywhere", inject.absurd_plan),
@@ -631,20 +631,20 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("nan", "NaN or infinity in the planner's path", inject.nan_plan),
         )
     ),
-    Fault("planner_finishes_early", "the planner reports that the mission is over, at full speed").by(
+    Entry("planner_finishes_early", "the planner reports that the mission is over, at full speed").by(
         inject.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
         replace(STOP, own_word=False, brake_ms=PLAN_MS + CONTROL_MS + SLACK_MS),
         missions=PATH_MISSIONS,
     ),
-    Fault("controller_silent", "the controller hangs for a while").by(
+    Entry("controller_silent", "the controller hangs for a while").by(
         inject.commands(lambda command, at: None), LOST_COMMAND, lasts(*COMMAND_BANDS)
     ),
-    Fault("controller_restarted", "the controller ends and is started again in mid-drive").by(
+    Entry("controller_restarted", "the controller ends and is started again in mid-drive").by(
         inject.restarted("controller"),
         RESTARTED,
         lasts((0, 250), (400, 3000)),
     ),
-    Fault(
+    Entry(
         "controller_nan", "NaN, infinity or an out-of-range number in every command: refused whole, as if none had come"
     ).by(
         inject.commanded(inject.no_number),
@@ -653,24 +653,24 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         Draw("field", "steering_rad", "throttle", "brake"),
         Draw("value", "nan", "inf", "beyond", "negative"),
     ),
-    Fault("controller_other_run", "commands for another run: they count as no command").by(
+    Entry("controller_other_run", "commands for another run: they count as no command").by(
         inject.commanded(lambda command, at: {"run_id": command.run_id + at.p["off"]}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
         Draw("off", (-3, -1), (1, 3)),
     ),
-    Fault("controller_old_stamps", "commands carry a stamp that is too old").by(
+    Entry("controller_old_stamps", "commands carry a stamp that is too old").by(
         inject.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
         Graded(((510, STOP),), "age"),
         Draw("age", (20, 180), (510, 570), (950, 3000)),
     ),
-    Fault("controller_future_stamps", "commands carry a stamp of the future: they are refused whole").by(
+    Entry("controller_future_stamps", "commands carry a stamp of the future: they are refused whole").by(
         inject.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
         Draw("ahead", (30, 5000)),
     ),
-    Fault(
+    Entry(
         "controller_fixed_future_stamp",
         "every command carries one stamp of the future, so many ms ahead of the fault's beginning",
     ).by(
@@ -679,7 +679,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         lasts(*COMMAND_BANDS),
         Draw("ahead", (450, 6000)),
     ),
-    Fault(
+    Entry(
         "sensor_clock_fast",
         "the sensors' clock gains so many ms on every ms: its stamps lie more and more ahead of now",
     ).by(
@@ -687,26 +687,26 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         ends(End.STOP, note="a stamp over 20 ms ahead is refused; once they all are, they are lost"),
         Draw("gain", (0.2, 3.0)),
     ),
-    Fault("controller_frozen", "one command is repeated, stamp and all").by(
+    Entry("controller_frozen", "one command is repeated, stamp and all").by(
         inject.commands(lambda command, at: at.kept.setdefault("first", command)),
         OLD_DATA,
         lasts((50, 280), (950, 3000)),
     ),
-    Fault("both_pedals", "throttle and brake in every command: the brake wins").by(
+    Entry("both_pedals", "throttle and brake in every command: the brake wins").by(
         inject.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
         Graded(((0, PAUSE), (100, estop(n.PEDALS_NS // MS + CONTROL_MS)))),
         lasts((10, 50), (160, 2000)),
         Draw("throttle", (0.05, 1.0)),
         Draw("brake", (0.05, 1.0)),
     ),
-    Fault("controller_gives_up", "the controller asks for the emergency brake").by(
+    Entry("controller_gives_up", "the controller asks for the emergency brake").by(
         inject.commanded(lambda command, at: {"estop_request": True}), estop(CONTROL_MS)
     ),
-    Fault("controller_finishes_early", "the controller reports that the mission is over, at full speed").by(
+    Entry("controller_finishes_early", "the controller reports that the mission is over, at full speed").by(
         inject.commanded(lambda command, at: {"mission_finished": True}), STOP
     ),
     *(
-        Fault(f"controller_{name}", what).by(inject.commanded(change), ROUGH, UPSET, *draws)
+        Entry(f"controller_{name}", what).by(inject.commanded(change), ROUGH, UPSET, *draws)
         for name, what, change, *draws in (
             ("absurd", "commands of random numbers, each in range", inject.absurd),
             ("swinging", "steering from lock to lock", inject.swinging, Draw("period", (20, 400))),
@@ -719,7 +719,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     *(
-        Fault(f"detector_{name}", f"the detector {what}").by(
+        Entry(f"detector_{name}", f"the detector {what}").by(
             inject.cones(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS
         )
         for name, what, change, *draws in (
@@ -731,33 +731,33 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     # ---------------------------------------------------------------- the bridge, its loop, clock and bus
-    Fault("bridge_killed", "the bridge's process is killed, and stays away").by(
+    Entry("bridge_killed", "the bridge's process is killed, and stays away").by(
         inject.restarted("bridge"), SILENT_OURS
     ),
-    Fault("bridge_restarted", "the bridge is killed and started again in mid-drive").by(
+    Entry("bridge_restarted", "the bridge is killed and started again in mid-drive").by(
         inject.restarted("bridge"), SILENT_OURS, lasts((0, 3000))
     ),
-    Fault("bridge_restarted_and_asked", "the same, and somebody asks for autonomous all the while").by(
+    Entry("bridge_restarted_and_asked", "the same, and somebody asks for autonomous all the while").by(
         inject.insisting_operator, SILENT_OURS, Draw("gone", (0, 3000))
     ),
-    Fault("everything_restarted", "bridge, planner and controller end and are started again together").by(
+    Entry("everything_restarted", "bridge, planner and controller end and are started again together").by(
         inject.restarted("bridge", "planner", "controller"), SILENT_OURS, lasts((0, 3000))
     ),
-    Fault("bridge_hung", "the loop's process stands still for a while, and the car's frames wait for it").by(
+    Entry("bridge_hung", "the loop's process stands still for a while, and the car's frames wait for it").by(
         lambda fault, rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS),
         Graded(((50, estop(82)), (100, SILENT_OURS)), "hang"),
         Draw("hang", (5, 35), (70, 82), (130, 2500)),
     ),
-    Fault("edge_hung", "the process between ROS and the loop stands still for a while: no command comes through").by(
+    Entry("edge_hung", "the process between ROS and the loop stands still for a while: no command comes through").by(
         lambda fault, rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS),
         replace(LOST_COMMAND, of="hang"),
         Draw("hang", *COMMAND_BANDS),
     ),
-    Fault("edge_killed", "the process between ROS and the loop is killed").by(
+    Entry("edge_killed", "the process between ROS and the loop is killed").by(
         lambda fault, rig, p, t_ns: rig.computer.kill_edge(),
         ends(End.STOP, End.SELF, note="at rest the loop ends, and the car takes the silence for an emergency"),
     ),
-    Fault("loop_late", "the loop misses one deadline by so many ms").by(
+    Entry("loop_late", "the loop misses one deadline by so many ms").by(
         # The deadline that is missed is the answer to the car's next 0x520, which is due before the loop's own clock.
         lambda fault, rig, p, t_ns: rig.computer.hang_bridge(
             rig.computer.due_ns() - FALLBACK_AFTER_NS + PERIOD_NS + p["late"] * MS
@@ -765,7 +765,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         Graded(((50, estop(51 + 15)),), "late"),
         Draw("late", (49, 49), (51, 51)),
     ),
-    Fault(
+    Entry(
         "clock_stepped",
         "the wall clock is set by less than the age of the data, in ms (the nodes' stamps stop larger ones)",
     ).by(
@@ -775,7 +775,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         missions=PATH_MISSIONS,
     ),
     *(
-        Fault(name, what).by(
+        Entry(name, what).by(
             inject.full_queue,
             Graded(((50, ends(End.STOP, End.SELF, note="dropped cycles are tried again")), (100, SILENT))),
             lasts((5, 30), (66, 72), (130, 2500)),
@@ -786,13 +786,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("bus_full_partly", "each cycle fits into the queue only partly", Draw("taken", (1, 4))),
         )
     ),
-    Fault("bus_busy", "each frame finds the queue full by chance").by(
+    Entry("bus_busy", "each frame finds the queue full by chance").by(
         inject.busy_queue,
         ends(End.ON, End.STOP, End.SELF, note="dropped cycles are tried again"),
         Draw("share", (0.002, 0.15)),
     ),
     *(
-        Fault(name, what).by(
+        Entry(name, what).by(
             inject.lost_bus,
             Graded(((0, ends(End.STOP, End.SELF, note=BUS_LOST)), (100, SILENT_OURS)), "gone"),
             Draw("gone", (1, 45), (130, 3000)),

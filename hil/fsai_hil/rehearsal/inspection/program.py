@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from fsai_hil.rehearsal.inspection.rehearsal import Rehearsal
+from fsai_hil.rehearsal.inspection.rehearsal import RehearsalWorld
 from fsai_hil.rehearsal.inspection.scenes import SCENES
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.process import VcuProcess
@@ -34,7 +34,7 @@ class RehearsalProcess(VcuProcess):
     RECEIVES = None  # what an AI computer must never send is looked for too
 
     def __init__(
-        self, world: Rehearsal, bus: CanBus, args: argparse.Namespace, command: Sequence[str], folder: Path
+        self, world: RehearsalWorld, bus: CanBus, args: argparse.Namespace, command: Sequence[str], folder: Path
     ) -> None:
         super().__init__(world, bus, argparse.Namespace(**{**vars(args), "quiet": True}))
         self._quiet = args.quiet

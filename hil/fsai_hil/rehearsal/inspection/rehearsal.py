@@ -29,7 +29,7 @@ NEVER_NS: Final = 1 << 62
 STUCK_TWICE: Final = 2  # scenes that did not get to the same: no other will
 
 
-class Rehearsal(World):
+class RehearsalWorld(World):
     """See the module. `load_wanted`, `end_wanted`: what it asks of the process round it.
 
     Raises ValueError for an unknown revision or profile.
