@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import resource
 import subprocess
 import sys
 import threading
@@ -13,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pytest
 import rclpy
 from builtin_interfaces.msg import Time
 from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
@@ -360,7 +363,11 @@ def while_driving(
             except AssertionError as error:
                 loops = [node._loop for node in rig.nodes if isinstance(node, VcuBridge) and node._loop is not None]
                 newest = loops[0].loop_report() if loops else None
-                if not left or newest is None or not (newest.deadline_misses or newest.bridge.vcu_gaps):
+                if newest is None or not (newest.deadline_misses or newest.bridge.vcu_gaps):
                     raise
                 late = f"{newest.deadline_misses} times the loop, {newest.bridge.vcu_gaps} times the car"
+                if not left and (os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[1]):
+                    raise
+                if not left:
+                    pytest.skip(f"a loop without real-time priority was late in each of {TRIES} drives: {late}")
                 print(f"shown again: the machine held up {late}: {error}")

@@ -146,7 +146,7 @@ class _Member(_Bounded):
     """The one file in a zip archive."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
+        self._file: IO[bytes] | None = None  # until it is known to be one: what is none is read in another way
         try:
             archive = zipfile.ZipFile(file)
             members = [member for member in archive.infolist() if not member.is_dir()]
@@ -156,6 +156,7 @@ class _Member(_Bounded):
             self._member = archive.open(members[0])
         except (zipfile.BadZipFile, RuntimeError, NotImplementedError, ValueError) as error:
             raise OSError(f"a zip archive that cannot be unpacked: {error}") from None
+        self._file = file
 
     def readinto(self, buffer: Any) -> int:
         try:
@@ -165,7 +166,8 @@ class _Member(_Bounded):
         return self._handed_over(data, buffer)
 
     def close(self) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
         super().close()
 
 
