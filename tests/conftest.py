@@ -18,6 +18,9 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+gc.disable()  # until all is collected: modules and tests stay, and looking through them is a quarter of collecting them
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "long: only with FSAI_LONG_TESTS=1 (make test-long, fsai-vcu hil --all)")
 
@@ -35,6 +38,7 @@ def pytest_collection_finish() -> None:
     there is one."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 # How fast an example runs is the machine's affair.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -236,11 +237,7 @@ def named_tests() -> dict[str, list[str]]:
     """The names of the test functions of each test file, as often as they are defined."""
     tests = CHECKOUT / "tests"
     return {
-        str(path.relative_to(tests)): [
-            node.name
-            for node in ast.walk(ast.parse(path.read_text()))
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
-        ]
+        str(path.relative_to(tests)): re.findall(r"^(?:async )?def (test_\w+)", path.read_text(), re.MULTILINE)
         for path in tests.rglob("test_*.py")
     }
 

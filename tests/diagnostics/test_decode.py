@@ -252,7 +252,7 @@ def test_numbers_are_written_as_repr_writes_them() -> None:
 
 
 @given(st.lists(st.lists(st.text(st.characters(exclude_characters="\n\0", codec="utf-8"), max_size=40), min_size=6)))
-@settings(max_examples=10)
+@settings(max_examples=25)
 def test_texts_of_any_lengths_stand_beside_each_other(rows: list[list[str]]) -> None:
     rows = [row[:6] for row in rows]
     parts = [part for column in range(6) for part in (texts_of([row[column] for row in rows]), b"," * (column // 2))]
