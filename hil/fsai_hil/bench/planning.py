@@ -37,6 +37,7 @@ RANGE_M, HALF_VIEW_RAD, BLIND_M = 15.0, math.radians(60.0), 0.6
 STEP_M, SPEED_MPS = 0.5, 5.0
 JUDGED_M, SHORT_M, HALF_WIDTH_M = 10.0, 5.0, 1.43 / 2.0
 RUN = Run(1, Ami.TRACKDRIVE, AsState.AS_DRIVING, may_move=True)
+SEEN_ALONE = 2  # times that a look without others is taken in: a cone seen once is none yet
 SEEN_BEFORE = 4  # looks from the start before the first is judged
 TRACKS = ("small_oval", "autocross", "trackdrive", "random-2")
 HEADS = ("condition", "looks", "mean m", "max m", "failed %", "p50 ms", "p99 ms")
@@ -57,6 +58,7 @@ class Disturbance(NamedTuple):
     laid: Callable[[Floats, Ints, Floats], Placed] = _as_it_is  # the third: the middle, (N, 2)
     off_m: float = 0.0
     off_rad: float = 0.0
+    alone: bool = False  # each look by itself: nothing is remembered of the others
 
 
 def _swapped(xy: Floats, color: Ints, draw: np.random.Generator) -> Placed:
@@ -97,6 +99,7 @@ CONDITIONS = (
     Disturbance("0.5 m and 5 deg off", off_m=0.5, off_rad=math.radians(5.0)),
     Disturbance("10 % missing", _missing),
     Disturbance("no colours", _colourless),
+    Disturbance("no colours, look alone", _colourless, alone=True),
     Disturbance("noise 0.1 m", lambda xy, color, draw: (xy + 0.1 * draw.standard_normal(xy.shape), color)),
     Disturbance("clutter", laid=_cluttered),
     Disturbance("ghosts", _ghosts),
@@ -168,6 +171,10 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
         far, angle = np.hypot(here[:, 0], here[:, 1]), np.abs(np.arctan2(here[:, 1], here[:, 0]))
         seen = (far < RANGE_M) & (angle < HALF_VIEW_RAD) & (here[:, 0] > BLIND_M)
         xy, color = condition.seen(here[seen], colors[seen], draw)
+        if condition.alone:
+            planner.reset(RUN)
+            for _ in range(SEEN_ALONE - 1):
+                planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
         began_s = time.thread_time()
         plan = planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
         took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))
