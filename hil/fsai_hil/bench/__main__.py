@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
-from fsai_hil.bench import control, decode, loop, planning
+from fsai_hil.bench import control, decode, laps, loop, planning
 from fsai_hil.bench.rows import Ratio, fallen, table
 from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.simulator.tracks import TrackError
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = "measure the speed beside what others take, and how well planning and control drive"
     parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=words)
     verbs = parser.add_subparsers(dest="bench", required=True)
-    for name, module in (("planning", planning), ("control", control)):
+    for name, module in (("planning", planning), ("control", control), ("laps", laps)):
         words = (module.__doc__ or "").splitlines()[0]
         module.add_arguments(verbs.add_parser(name, help=words, description=words))
     fast = verbs.add_parser("speed", help="codec, answer, logs, start and whole missions, as ratios to a peer's time")
