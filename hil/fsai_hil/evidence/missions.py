@@ -62,7 +62,7 @@ CONDITIONS: Final[Mapping[str, Sensing]] = {
         trouble=drawn,
     ),
     "sharp": Sensing(
-        "the simulated sensor as it is, on circuits with inside radii of 1.4 to 4 m and chicanes straight into hairpins,"
+        "the simulated sensor as it is, on circuits with inside radii of 1.4 to 4 m and chicanes into hairpins,"
         " some harder than the rules allow: the lap is driven, or the car stops in its lane; one that leaves the lane"
         " fails, and its drive ends there",
         trouble=lambda _: Trouble(),
