@@ -126,6 +126,18 @@ def test_a_drift_along_the_circle_is_found_at_the_crossing() -> None:
     assert (np.abs(state.pose - true) < (0.2, 0.1, 0.03)).all(), state.pose
 
 
+def test_false_cones_do_not_hold_the_car_back_on_the_way_out() -> None:
+    draw = np.random.default_rng(1)
+    cones = np.concatenate((CONES, -LANE_IN))
+    state = SkidpadState(np.zeros(3), Motion(), COURSE.finish_m, found=True)
+    for way in np.arange(0.3, 18.0, 0.3):
+        far, angle = 14.0 * np.sqrt(draw.random(4)), draw.uniform(-0.96, 0.96, 4)
+        false = np.column_stack((far * np.cos(angle), far * np.sin(angle)))
+        seen = np.concatenate((seen_from(np.array([way, 0.0, 0.0]), cones, 0.05), false))
+        state = advance_skidpad(COURSE, state, Motion(x_m=float(way), distance_m=float(way)), seen)
+        assert state.progress_m - COURSE.finish_m == pytest.approx(way, abs=1.0)
+
+
 def test_the_lane_in_is_followed_until_the_circles_are_found() -> None:
     """25 m before the crossing, askew: what is seen there could be anywhere along the lane."""
     planner = Planner(ADS_DV_2026)

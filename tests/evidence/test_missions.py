@@ -72,6 +72,11 @@ def test_cases_are_what_can_be_driven_and_nothing_twice() -> None:
     }
 
 
+def test_sharp_corners_are_driven_on_their_own_circuits() -> None:
+    found = [(case.mission, case.track) for case in cases(["trackdrive", "autocross"], ["sharp"], [1], ["small_oval"])]
+    assert found == [("autocross", "generated-SEED-sharp")]
+
+
 def test_a_circuit_is_raced_on_where_that_is_asked() -> None:
     found = [(case.mission, case.track) for case in cases(["trackdrive"], ["nominal"], [1], ["small_oval"])]
     assert found == [("trackdrive", "small_oval")]

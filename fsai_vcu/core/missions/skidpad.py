@@ -32,6 +32,8 @@ ELSEWHERE_M = 1.5  # places nearer to each other than this are one
 LEAD_MIN = 40.0  # misfit by which the best place must lead: more than a cone on no border
 # Along the path, tried when tracking: a circle alone does not say where on it the car is, but a crossing does.
 SLIPS_M = np.arange(-1.8, 1.9, 0.6)
+# On the way out the lane does not say where along it the car is, and false cones fit the circles behind: odometry says.
+TRACKED_OUT = TRACKED * np.array([0.1, 1.0, 1.0])
 JUMP_M = 2.0  # progress is corrected by no more
 
 
@@ -137,7 +139,10 @@ def advance_skidpad(course: SkidpadCourse, state: SkidpadState, motion: Motion, 
         return replace(state, pose=pose, motion=motion)
     expected = state.progress_m + max(0.0, motion.distance_m - state.motion.distance_m)
     side = 0.0 if not 0.0 <= expected < course.finish_m else -1.0 if expected < 0.5 * course.finish_m else 1.0
-    if len(xy_m) >= 2:
+    out = expected >= course.finish_m
+    if len(xy_m) >= 2 and out:
+        pose = fitted(course.borders, pose[None], xy_m, TRACKED_OUT)[0]
+    elif len(xy_m) >= 2:
         poses = fitted(course.borders, _slipped(course, pose, side), xy_m, TRACKED)
         costs = misfit(course.borders, poses, xy_m)
         costs[len(costs) // 2] -= LEAD_MIN  # of the one that has not slipped

@@ -13,14 +13,14 @@ import argparse
 import os
 import sys
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from msgspec.structs import asdict
 
-from fsai_hil.evidence.hard_sensing import Ending, HardDrive, drawn
+from fsai_hil.evidence.hard_sensing import Ending, HardDrive, Trouble, drawn
 from fsai_hil.evidence.work import Record, digest, followed, spread
 from fsai_hil.simulator.judge import check_track
 from fsai_hil.simulator.lockstep import CONFIDENCE_THRESHOLD, Lockstep, LockstepResult, confident
@@ -44,7 +44,9 @@ class Sensing(Value, frozen=True):
     what: str
     sensor: SensorSettings = SensorSettings()
     threshold: float = CONFIDENCE_THRESHOLD  # of the detector
-    drawn: bool = False  # the sensor is another one with each seed; a car that stops in its lane has not failed
+    # By the seed, what happens to the sensor of a car that may stop in its lane; None: it must drive.
+    trouble: Callable[[int], Trouble] | None = None
+    track: str | None = None  # of autocross, the only mission; None: all of all missions
 
 
 CONDITIONS: Final[Mapping[str, Sensing]] = {
@@ -57,7 +59,14 @@ CONDITIONS: Final[Mapping[str, Sensing]] = {
         "by the seed, range 6 to 15 m, view 60 to 180 deg, 0 to 4 false cones a look as sure as true ones, colours or"
         " none, 2 s without cones or not, a jump of the pose by 0.5 m or none: the mission is driven, or the car stops"
         " in its lane; one that leaves the lane fails, and its drive ends there",
-        drawn=True,
+        trouble=drawn,
+    ),
+    "sharp": Sensing(
+        "the simulated sensor as it is, on circuits with inside radii of 1.4 to 4 m and chicanes into hairpins,"
+        " some harder than the rules allow: the lap is driven, or the car stops in its lane; one that leaves the lane"
+        " fails, and its drive ends there",
+        trouble=lambda _: Trouble(),
+        track="generated-SEED-sharp",
     ),
 }
 
@@ -90,19 +99,23 @@ def cases(
             yield MissionCase(mission.name.lower(), "static", "nominal", 0)
             continue
         chosen = tracks if tracks is not None else (own, *(AUTOCROSS_TOO if mission is Ami.AUTOCROSS else ()))
-        for track in chosen:
+        everywhere = [which for which in conditions if CONDITIONS[which].track is None]
+        rows = [(track, which) for track in chosen for which in everywhere]
+        if mission is Ami.AUTOCROSS:
+            rows += [(track, which) for which in conditions if (track := CONDITIONS[which].track) is not None]
+        for track, which in rows:
             again = mission is Ami.TRACKDRIVE and track != own and Ami.AUTOCROSS in asked
             if again or check_track(load_track(track.replace("SEED", "1")), mission) is not None:
                 continue
-            yield from (MissionCase(mission.name.lower(), track, which, seed) for which in conditions for seed in seeds)
+            yield from (MissionCase(mission.name.lower(), track, which, seed) for seed in seeds)
 
 
 def driven(case: MissionCase) -> dict[str, Any]:
     """The line of the record of one run."""
     track, condition = load_track(case.track.replace("SEED", str(case.seed))), CONDITIONS[case.condition]
     mission = mission_named(case.mission)
-    if condition.drawn:
-        drive = HardDrive(mission, track, drawn(case.seed), case.seed)
+    if condition.trouble is not None:
+        drive = HardDrive(mission, track, condition.trouble(case.seed), case.seed)
         return _line(case, drive.result(), drive.ending)
     setup = WorldSetup(missions=[mission], track=track, seed=case.seed, sensor=condition.sensor, gps=False)
     lockstep = Lockstep(setup)

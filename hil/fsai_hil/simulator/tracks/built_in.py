@@ -109,6 +109,9 @@ def skidpad_track() -> Track:
     return with_line(track, Pose(), BETWEEN_RINGS)
 
 
+BEND_APART_M: Final = 2.0
+
+
 def _stretched(ring: Floats, straight_m: float) -> Floats:
     """The ring with a straight put in at its first point, and its twin where the tangent is opposite."""
     tangent = np.roll(ring, -1, axis=0) - np.roll(ring, 1, axis=0)
@@ -122,8 +125,18 @@ def _stretched(ring: Floats, straight_m: float) -> Floats:
     return np.vstack([ring[:1], first_straight, ring[:1] + straight_m * along, outward, back_straight, ring[far:]])
 
 
-def circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float, apart_m: float = 4.5) -> Track:
-    """A closed circuit round a centreline that begins at the start of its straight."""
+def circuit_from(
+    name: str,
+    centreline: Floats,
+    line_at_m: float,
+    lane_m: float,
+    apart_m: float = 4.5,
+    bend_apart_m: float = BEND_APART_M,
+) -> Track:
+    """A closed circuit round a centreline that begins at the start of its straight.
+
+    Its cones stand `apart_m` from each other on straights, and nearer in bends, or `bend_apart_m` at least.
+    """
     step = 0.25
     middle = resampled_ring(centreline, step)
     middle = np.roll(middle, -round(line_at_m / step), axis=0)
@@ -144,7 +157,8 @@ def circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float,
             if due <= 0.0:
                 row.append((float(point[0]), float(point[1])))
                 # Cones stand closer in tight corners; 5 m is the rules' most.
-                due += min(apart_m, max(2.0, 0.35 / max(float(smooth[i]), 1e-3)))
+                wanted_m = 0.35 / max(float(smooth[i]), 1e-3)
+                due += apart_m if wanted_m >= apart_m else max(bend_apart_m, wanted_m)
             due -= float(steps[i])
         if math.dist(row[0], row[-1]) < 1.2:
             row.pop()

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from fsai_hil.simulator.tracks.built_in import circuit_from
+from fsai_hil.simulator.tracks.built_in import BEND_APART_M, circuit_from
 from fsai_hil.simulator.tracks.layout import Track, closest_m
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.interface.values import Value
@@ -35,7 +35,9 @@ class Style(Value, frozen=True):
 
     lane_m: tuple[float, float]
     hairpin_m: tuple[float, float]  # outside diameter; the rules' least is 9 m
-    shares: tuple[int, int, int, int]  # of turns, hairpins, chicanes and slaloms
+    shares: tuple[int, ...]  # of KINDS; none of those that are left out
+    island_m: float = BETWEEN_LANES_M  # at least, from border to border inside a hairpin
+    bend_apart_m: tuple[float, float] | None = None  # from cone to cone in bends, drawn once; None: as they bend
 
 
 STYLES: Final[Mapping[str, Style]] = MappingProxyType(
@@ -45,6 +47,9 @@ STYLES: Final[Mapping[str, Style]] = MappingProxyType(
         # Straights on both sides of an island as wide as a lane, where nothing but colours tells it from one.
         "islands": Style((3.0, 4.0), (9.5, 14.0), (1, 4, 0, 0)),
         "tight": Style((3.0, 3.5), (9.0, 12.0), (2, 3, 1, 1)),  # tighter than the car can turn with 21 deg of steering
+        # Inside radii of 1.4 m (9 m outside is 1.5 m with the narrowest lane) to 4 m. The rules ask for cones closer
+        # together in bends, but do not say by how much.
+        "sharp": Style((3.0, 3.5), (8.8, 14.0), (0, 2, 0, 0, 4, 2), 2.8, (1.5, 5.0)),
     }
 )
 
@@ -53,9 +58,11 @@ def generated_circuit(seed: int, style: str = "mixed") -> Track:
     """A circuit that keeps the rules, always the same for a seed and a style."""
     draw = random.Random(seed)
     name = f"generated-{seed}" + ("" if style == "mixed" else f"-{style}")
+    kind = STYLES[style]
     while True:
-        lane_m = draw.uniform(*STYLES[style].lane_m)
-        elements = _elements(draw, STYLES[style], lane_m)
+        lane_m = draw.uniform(*kind.lane_m)
+        bend_apart_m = BEND_APART_M if kind.bend_apart_m is None else draw.uniform(*kind.bend_apart_m)
+        elements = _elements(draw, kind, lane_m)
         closed = _closed(draw, elements)
         if closed is None:
             continue
@@ -64,15 +71,15 @@ def generated_circuit(seed: int, style: str = "mixed") -> Track:
         if LENGTH_M[0] <= length_m <= LENGTH_M[1] and closest_m(middle, 12.0) >= lane_m + BETWEEN_LANES_M:
             if draw.random() < 0.5:
                 middle[:, 1] *= -1.0  # the other way round
-            return circuit_from(name, middle, straight_m * 0.55, lane_m, CONES_APART_M)
+            return circuit_from(name, middle, straight_m * 0.55, lane_m, CONES_APART_M, bend_apart_m)
 
 
 def _elements(draw: random.Random, style: Style, lane_m: float) -> list[list[Arc]]:
     """Draw what is between the straights; the last one completes the turn of the lap, where it can."""
-    tightest_m = max(style.hairpin_m[0], 2.0 * lane_m + BETWEEN_LANES_M)
+    tightest_m = max(style.hairpin_m[0], 2.0 * lane_m + style.island_m)
     elements: list[list[Arc]] = []
     for _ in range(draw.randint(4, 8)):
-        kind = draw.choices((_turn, _hairpin, _chicane, _slalom), style.shares)[0]
+        kind = draw.choices(KINDS[: len(style.shares)], style.shares)[0]
         diameter_m = draw.uniform(tightest_m, max(style.hairpin_m[1], tightest_m)) - lane_m
         side = 1.0 if draw.random() < 0.62 else -1.0
         elements.append([(length, side * bend) for length, bend in kind(draw, diameter_m / 2.0, lane_m)])
@@ -103,6 +110,20 @@ def _slalom(draw: random.Random, least_m: float, lane_m: float) -> list[Arc]:
     arcs = [(radius * 2.0 * angle, (-1.0) ** i / radius) for i in range(swings + 1)]
     arcs[0], arcs[-1] = ((length / 2.0, bend) for length, bend in (arcs[0], arcs[-1]))
     return arcs
+
+
+def _corner(draw: random.Random, radius_m: float, lane_m: float) -> list[Arc]:
+    return [(radius_m * math.radians(draw.uniform(50.0, 140.0)), 1.0 / radius_m)]
+
+
+def _chicane_into_hairpin(draw: random.Random, radius_m: float, lane_m: float) -> list[Arc]:
+    """A chicane to either side, and the hairpin without a straight between."""
+    angle, side = math.radians(draw.uniform(25.0, 60.0)), draw.choice((-1.0, 1.0))
+    chicane = [(radius_m * angle, side / radius_m), (radius_m * angle, -side / radius_m)]
+    return [*chicane, *_hairpin(draw, radius_m, lane_m)]
+
+
+KINDS: Final = (_turn, _hairpin, _chicane, _slalom, _corner, _chicane_into_hairpin)
 
 
 def _closed(draw: random.Random, elements: Sequence[Sequence[Arc]]) -> tuple[Floats, float] | None:
