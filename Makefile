@@ -110,6 +110,9 @@ planning: setup  ## the same on 50 generated circuits, into docs; TRACKS="FILE.c
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
 	$(BIN)/python -m fsai_hil.bench control
 
+bench-laps: setup  ## how fast laps are driven, beside the least time that the car's forces allow; minutes
+	$(BIN)/python -m fsai_hil.bench laps
+
 # Attached to a process that runs: of one that it starts, py-spy looks at an interpreter that is not ready.
 SPY = $(BIN)/py-spy record --function --rate 100 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
