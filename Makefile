@@ -113,15 +113,16 @@ bench-control: setup  ## how well the car follows paths and speeds, beside plain
 bench-laps: setup  ## how fast laps are driven, beside the least time that the car's forces allow; minutes
 	$(BIN)/python -m fsai_hil.bench laps
 
-# Attached to a process that runs: of one that it starts, py-spy looks at an interpreter that is not ready.
+# Attached to a process that runs, for which some systems want root: of one that it starts, py-spy looks at an interpreter that is not ready.
 SPY = $(BIN)/py-spy record --function --rate 100 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
 	mkdir -p out && $(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
 	for _ in {1..10}; do cat out/profile.log; done >out/profile-long.log
 	watched() { \
 	  taskset -c 0 $(BIN)/python -m "$${@:2}" >/dev/null 2>&1 & \
-	  until grep -q numpy /proc/$$!/maps; do sleep 0.01; done; \
-	  $(SPY) docs/pictures/profile-$$1.svg --pid $$! && wait; \
+	  until grep -q numpy /proc/$$!/maps; do kill -0 $$! || return; sleep 0.01; done; \
+	  $(SPY) docs/pictures/profile-$$1.svg --pid $$! || { kill $$!; return 1; }; \
+	  wait $$!; \
 	}; \
 	watched loop fsai_hil.bench.loop && \
 	  watched decode fsai_vcu.cli.main decode out/profile-long.log && \

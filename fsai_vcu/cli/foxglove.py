@@ -73,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         server = Server(args.host, args.port, f"fsai-vcu {sources.name}", topics_of(decoding))
     except OSError as error:
+        source.close()
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
     how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
     try:

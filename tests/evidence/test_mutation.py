@@ -19,7 +19,7 @@ from fsai_hil.evidence.mutation.__main__ import main, table
 from fsai_hil.evidence.mutation.mutants import Mutant, Walk
 from fsai_hil.evidence.mutation.trial import mutants
 
-SAMPLE = 2  # of some 2,000 that `make mutation` tries
+SAMPLE = 5  # of some 2,000 that `make mutation` tries
 
 
 @pytest.fixture(scope="module")

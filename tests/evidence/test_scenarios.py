@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, Since
-from fsai_hil.evidence.campaign.runner import SNAPSHOTS
+from fsai_hil.evidence.campaign.runner import SNAPSHOTS, drive_batch
 from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up, run_case
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
@@ -39,6 +40,18 @@ def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up() -> None:
 def _all_of(scenario: Scenario) -> tuple[object, ...]:
     rig = scenario.rig
     return scenario.verdict(), scenario.seen, str(rig.wire), rig.wire.seen, rig.world.car.truth()
+
+
+def test_the_order_in_which_cases_are_driven_changes_nothing() -> None:
+    faults = ("steering_sensor_noisy", "wheel_very_noisy")
+    plan = CampaignPlan(5, 2, 0, faults, (Ami.AUTONOMOUS_DEMO,), ("2026",), 1, 1000)
+    forward = drive_batch(plan, [(False, 0), (False, 1)])
+    backward = drive_batch(plan, [(False, 1), (False, 0)])
+    assert [_untimed(line) for line in forward] == [_untimed(line) for line in reversed(backward)]
+
+
+def _untimed(line: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in line.items() if name != "wall_s"}
 
 
 def test_a_run_ends_early_once_nothing_can_happen_any_more() -> None:

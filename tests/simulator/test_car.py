@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.optimize import brentq
 
 from fsai_hil.simulator import car as car_module
 from fsai_hil.simulator.car import Car, Pose
@@ -336,3 +338,17 @@ def test_placing_the_car_stops_it_and_keeps_its_pulse_counters() -> None:
     assert car.pose == Pose(1.0, 2.0, 0.5)
     assert car.speed_mps == 0.0
     assert car.feedback().pulses == pulses
+
+
+def pushing_n(speed_mps: float) -> float:
+    """At full throttle, by the torque schedule and the resistances; without the driven tyres' slip."""
+    motor_rpm = ADS_DV_2026.wheel_rpm_of_speed(speed_mps) * 3.5
+    nm = np.interp(motor_rpm, *zip(*ADS_DV_2026.torque_curve_rpm_nm, strict=True))
+    drive_n = float(nm) * car_module.DRIVELINE_EFFICIENCY / ADS_DV_2026.rolling_radius_m
+    return drive_n - car_module.ROLLING_RESISTANCE * 300.0 * 9.81 - 0.6 * car_module.DRAG_AREA_M2 * speed_mps**2
+
+
+def test_the_top_speed_is_that_of_the_forces() -> None:
+    car = Car(CARS["2026"])
+    drive(car, FULL, 90.0)
+    assert car.speed_mps == pytest.approx(brentq(pushing_n, 10.0, 24.0), rel=0.01)

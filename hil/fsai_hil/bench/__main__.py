@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         problem, status = args.run(args), 1
     except TrackError as error:
         problem, status = str(error), 2
-    except AssertionError as error:
+    except (AssertionError, json.JSONDecodeError) as error:
         problem, status = f"nothing to compare: {error}", 1
     except OSError as error:
         problem, status = f"{error.filename or args.out}: {error.strerror}", 1

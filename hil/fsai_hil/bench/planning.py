@@ -39,7 +39,8 @@ JUDGED_M, SHORT_M, HALF_WIDTH_M = 10.0, 5.0, 1.43 / 2.0
 RUN = Run(1, Ami.TRACKDRIVE, AsState.AS_DRIVING, may_move=True)
 SEEN_ALONE = 2  # times that a look without others is taken in: a cone seen once is none yet
 SEEN_BEFORE = 4  # looks from the start before the first is judged
-TRACKS = ("small_oval", "autocross", "trackdrive", "random-2")
+# The last two have lanes beside each other, and hairpins between them.
+TRACKS = ("small_oval", "autocross", "trackdrive", "random-2", "generated-1-tight", "generated-1-islands")
 HEADS = ("condition", "looks", "mean m", "max m", "failed %", "p50 ms", "p99 ms")
 
 Placed = tuple[Floats, Ints]

@@ -16,6 +16,7 @@ import select
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
@@ -159,6 +160,7 @@ class VcuProcess:
         self.frames_in = self.frames_out = self.dropped = self.bus_losses = 0
         self.late_max_ns = 0
         self.held_up_ns = 0  # by so much the car's time is behind the monotonic clock
+        self.held_up_in_ns: Counter[int] = Counter()  # of that, in the first mission, the second and so on
         self.status_late_ns: list[int] = []  # of each 0x520: from when it was due until it had been sent
         self._marks: list[tuple[str, Counts]] = []  # where measurements begin
         self._wake_ns = world.now_ns
@@ -186,6 +188,7 @@ class VcuProcess:
             self.late_max_ns = max(self.late_max_ns, late_ns)
             if late_ns > HELD_UP_NS:
                 self.held_up_ns += late_ns
+                self.held_up_in_ns[len(world.verdicts)] += late_ns
                 now = self._wake_ns
             self._speak(now)
             self._wake_ns = world.next_due_ns()
@@ -402,22 +405,30 @@ class VcuProcess:
 # ---------------------------------------------------------------- the end
 
 
-def told(process: VcuProcess, verdict: JudgeVerdict) -> JudgeVerdict:
-    """Return the verdict as it is told: what failed on a computer that held even the simulated car up is not judged."""
-    if verdict.passed or not process.held_up_ns:
-        return verdict
-    busy = f"this computer was too busy: it held the simulated car up for {process.held_up_ns / 1e6:.0f} ms"
-    return replace(verdict, result="not judged", reasons=(busy,))
+def verdicts_of(process: VcuProcess) -> list[JudgeVerdict]:
+    """Return the verdicts on the missions that are over, and on the one in hand, as they are told.
+
+    A mission that failed while this computer held even the simulated car up is not judged; what went wrong stays said.
+    """
+    world, found = process.world, []
+    in_hand = world.verdict()
+    verdicts = [*world.verdicts, *[in_hand] * (in_hand not in world.verdicts)]
+    for place, verdict in enumerate(verdicts):
+        held_up_ns = process.held_up_in_ns[place]
+        busy = f"this computer was too busy: it held the simulated car up for {held_up_ns / 1e6:.0f} ms"
+        excused = held_up_ns and not verdict.passed
+        found.append(replace(verdict, result="not judged", reasons=(busy, *verdict.reasons)) if excused else verdict)
+    return found
 
 
 def result_of(process: VcuProcess) -> dict[str, Any]:
     """Return the session's result as a program wants to read it."""
-    world, setup, passed = process.world, process.world.setup, _passed(process.world)
-    verdict = told(process, world.verdict())
+    world, setup, verdicts = process.world, process.world.setup, verdicts_of(process)
+    failed = any(each.result == "fail" for each in verdicts)
     return {
-        **verdict.as_dict(),
-        "result": "pass" if passed else "not judged" if process.held_up_ns else "fail",
-        "missions": [told(process, each).as_dict() for each in world.verdicts] or [verdict.as_dict()],
+        **verdicts[-1].as_dict(),
+        "result": "pass" if _passed(world) else "not judged" if not failed else "fail",
+        "missions": [each.as_dict() for each in verdicts[: len(world.verdicts) or 1]],
         "ended": process.why_ended,
         "track": world.run.track.name,
         "revision": setup.revision,
@@ -468,8 +479,8 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
 
         saved_all &= plotted(PROGRAM, Path(args.plot), first)
     if args.auto or world.verdicts:
-        for verdict in world.verdicts or [world.verdict()]:
-            print(told(process, verdict).summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
+        for verdict in verdicts_of(process)[: len(world.verdicts) or 1]:
+            print(verdict.summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
     if args.json:
         print(json.dumps(result), flush=True)
     if not saved_all:
