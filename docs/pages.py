@@ -468,7 +468,7 @@ def speeds() -> str:
     return _table(
         ("what was done", "[result]({evidence}bench.json)"),
         (
-            ("a frame decoded and encoded; a log decoded to text", f"{frames}; {logs}"),
+            ("frames that repeat, decoded and encoded; a log decoded to text", f"{frames}; {logs}"),
             ("0x520 answered, every check made", slower),
         ),
     )
