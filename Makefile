@@ -113,7 +113,8 @@ bench-control: setup  ## how well the car follows paths and speeds, beside plain
 bench-laps: setup  ## how fast laps are driven, beside the least time that the car's forces allow; minutes
 	$(BIN)/python -m fsai_hil.bench laps
 
-# Attached to a process that runs, for which some systems want root: of one that it starts, py-spy looks at an interpreter that is not ready.
+# Attached to a process that runs, for which some systems want root: of one that it starts, py-spy looks at an
+# interpreter that is not ready.
 SPY = $(BIN)/py-spy record --function --rate 100 --output
 profile: setup-for-tests  ## where the time goes, as the pictures of docs/profiles.md: CAN loop, decoding, planning
 	mkdir -p out && $(BIN)/fsai-vcu drive --mission trackdrive --log out/profile.log
