@@ -583,7 +583,7 @@ def test_80_by_24_shows_everything_at_once(go_off: Ended) -> None:
         "torque rear",
         "brake front",
         "m/s",
-        "wheels  FL 0",
+        "rpm  FL 0",
         "handshake   answered in",
         "faults      none",
         "510 AI2VCU_Status          100/s",

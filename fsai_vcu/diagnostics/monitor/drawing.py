@@ -236,7 +236,7 @@ def _figures(picture: Picture) -> list[Text]:
     if picture.speed_mps is not None:
         speed = f"{picture.speed_mps:.1f} m/s, {picture.speed_mps * KMH_PER_MPS:.0f} km/h"
     wheels = "".join(f"  {name} {rpm:.0f}" for name, rpm in picture.wheels_rpm.items())
-    return [*lines, line("speed       ", (speed, STRONG), f"   wheels{wheels} rpm" if wheels else "", wrap=True)]
+    return [*lines, line("speed       ", (speed, STRONG), f"   rpm{wheels}" if wheels else "", wrap=True)]
 
 
 def _handshake(picture: Picture) -> Text:
