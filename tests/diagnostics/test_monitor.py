@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import itertools
 import re
+import signal
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.monitor import sources
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, instruments, message_row, overview
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, Picture, plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log
@@ -507,6 +510,25 @@ def test_what_ends_the_reading_of_a_bus_is_raised_at_close() -> None:
     assert live.ended
     with pytest.raises(OSError, match="no such bus"):
         live.close()
+
+
+def test_a_second_ctrl_c_waits_for_the_chunk_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on, pressed = threading.Event(), []
+
+    def chunks() -> Iterator[Frames]:
+        go_on.wait()
+        yield every_cycle(0, S, (0x520, status(AsState.AS_OFF)))
+
+    def interrupted(waited: list[Future[None]]) -> None:
+        pressed.append(not go_on.is_set())
+        go_on.set()
+        wait(waited) if len(pressed) > 1 else signal.raise_signal(signal.SIGINT)
+
+    live = Live(reading := chunks(), View("can0"))
+    monkeypatch.setattr(sources, "wait", interrupted)
+    live.close()
+    reading.close()  # raises ValueError while it is still read
+    assert live.ended and pressed[0]
 
 
 # ---------------------------------------------------------------- laps and trends

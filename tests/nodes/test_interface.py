@@ -96,9 +96,12 @@ def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) ->
     services = dict(see.get_service_names_and_types())
     assert {name: services.get(name) for name in SERVICES} == {name: [kind] for name, kind in SERVICES.items()}
     assert "/run_mission/_action/send_goal" in services
-    for node, wanted in PUBLISHERS.items():
-        published = {name for name, _ in see.get_publisher_names_and_types_by_node(node, "/")}
-        assert wanted <= published, node
+
+    def published(node: str) -> set[str]:
+        return {name for name, _ in see.get_publisher_names_and_types_by_node(node, "/")}
+
+    for node, wanted in PUBLISHERS.items():  # which topic is whose is told after the topics and nodes themselves
+        rig.spin_until(lambda node=node, wanted=wanted: wanted <= published(node), f"the publishers of {node}")
     for topic, wanted_qos in {**{f"/{name}": each for name, each in qos.TOPICS.items()}, **qos.FRAMES}.items():
         endpoints = see.get_publishers_info_by_topic(topic) + see.get_subscriptions_info_by_topic(topic)
         assert endpoints, topic

@@ -8,6 +8,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from typing import Final, NamedTuple
@@ -106,6 +107,11 @@ class Live:
     def close(self) -> None:
         """Close the bus; raise what ended it."""
         self._stop = True
+        while not self._receiving.done():
+            with suppress(
+                KeyboardInterrupt
+            ):  # the first Ctrl-C ends it already, when the chunk now being taken is over
+                wait([self._receiving])
         self._receiving.result()
 
     def _receive(self) -> None:
