@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit
+from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of
 from fsai_vcu.core.planning.lap_strategy import free_of_cones
 from fsai_vcu.core.planning.settings import PlannerSettings
 
@@ -114,6 +114,16 @@ def test_the_farther_beside_its_path_the_less_sure() -> None:
     confidences = [course.confidence for course in sure]
     assert confidences == sorted(confidences, reverse=True) and (confidences[0], confidences[-1]) == (1.0, 0.0)
     assert sure[0].note == "" and sure[-1].note == "the car is 1.0 m beside its path"
+
+
+@pytest.mark.parametrize(("radius_m", "least_m", "said"), [(2.9, 4.0, True), (4.2, 4.0, False), (2.9, 2.7, False)])
+def test_a_bend_tighter_than_the_car_can_turn_is_named(radius_m: float, least_m: float, said: bool) -> None:
+    turned = np.arange(0.0, 3.0, 0.5 / radius_m)
+    bend = radius_m * np.column_stack((np.sin(turned), 1.0 - np.cos(turned)))
+    course = Evidence(least_m).judged(replace(SURE, path_m=bend + np.array((0.0, 0.6))), Motion())
+    tight = " in a bend of 2.9 m, tighter than the 4.0 m it can turn"
+    assert course.note == f"the car is 0.6 m beside its path{tight * said}"
+    assert least_radius_of(STRAIGHT) > 1e6 and least_radius_of(STRAIGHT[:3]) == np.inf
 
 
 @pytest.mark.parametrize(("speed", "course", "again"), [(0.0, SURE, True), (1.0, SURE, False), (0.0, UNSURE, False)])

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import LOST, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
-from fsai_vcu.core.planning.pose import NO_PATH, gaps, lengths_along, to_odometry, to_vehicle
+from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
 
@@ -30,6 +30,9 @@ DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven unde
 FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, S  # above which a lost car that stands drives on, if it lasts
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
 ASIDE_M = (0.3, 0.8)  # beside its path: from the first on confidence falls, at the second none is left
+BEND_OVER_M = 2.0  # of path, over which the radius of a bend is measured
+BENT_TOLERANCE_M = 0.1  # in which two radii are the same
+BENT_M = 6.0  # of way, after a bend too tight for the car, on which it may be beside its path because of that
 LOST_BRAKING_MPS2 = 4.0
 STOP_HERE_M = 0.1  # of way borne out: less than to the car's nose
 TURNED_M = 0.7  # a path that leaves the last one by so much, before the car could stop, leads elsewhere
@@ -85,7 +88,10 @@ class Evidence:
     show the way again.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, least_radius_m: float = 0.0) -> None:
+        """`least_radius_m`: of the tightest bend that the car can drive."""
+        self._least_radius_m = least_radius_m
+        self._too_tight: tuple[float, float] | None = None  # the radius of such a bend on the path, and where driven
         self._sure = 1.0
         self._doubted_m = 0.0
         self._why = ""
@@ -131,8 +137,18 @@ class Evidence:
             near = path[lengths_along(path) < both_m]
             if len(near) and float(gaps(near, before).min(axis=1).max()) > TURNED_M:
                 return 0.0, "the way ahead is another one than a moment ago"
+        radius_m = least_radius_of(path)
+        if radius_m < self._least_radius_m - BENT_TOLERANCE_M:
+            self._too_tight = radius_m, motion.distance_m
         share = (ASIDE_M[1] - aside_m) / (ASIDE_M[1] - ASIDE_M[0])
-        return (1.0, "") if share >= 1.0 else (max(0.0, share), f"the car is {aside_m:.1f} m beside its path")
+        if share >= 1.0:
+            return 1.0, ""
+        note = f"the car is {aside_m:.1f} m beside its path"
+        if self._too_tight is not None and motion.distance_m - self._too_tight[1] < BENT_M:
+            note += (
+                f" in a bend of {self._too_tight[0]:.1f} m, tighter than the {self._least_radius_m:.1f} m it can turn"
+            )
+        return max(0.0, share), note
 
     def _clear(self, motion: Motion) -> bool:
         """True once a lost car stands and has seen the way for a second."""
@@ -180,6 +196,18 @@ class Fit:
             share = np.maximum(0.0, 1.0 - (off_course(places) / FIT_M) ** 2).sum() / max(CONES_TO_FIT, len(places))
             self._confidence = min(max((float(share) - FIT_NONE) / (FIT_ALL - FIT_NONE), 0.0), 1.0)
         return self._confidence
+
+
+def least_radius_of(path_m: Floats) -> float:
+    """Radius (m) of a path's tightest bend; inf for one shorter than a bend is measured over."""
+    along = lengths_along(path_m)
+    until = int(np.searchsorted(along, along[-1] - BEND_OVER_M, side="right"))
+    cos, sin = headings_along(path_m)
+    before = slice(until)
+    later = np.minimum(np.searchsorted(along, along[before] + BEND_OVER_M), len(path_m) - 1)
+    across = cos[before] * sin[later] - sin[before] * cos[later]
+    turned = np.abs(np.arctan2(across, cos[before] * cos[later] + sin[before] * sin[later]))
+    return float(((along[later] - along[before]) / np.maximum(turned, 1e-9)).min(initial=math.inf))
 
 
 def braking_m(speed_mps: float, deceleration_mps2: float) -> float:

@@ -45,7 +45,7 @@ class Planner:
         self._run = run
         self._memory.clear()
         self._strategy = self._strategy_for(run.mission)
-        self._evidence = Evidence()
+        self._evidence = Evidence(self._car.least_radius_m)
         self._last: Motion | None = None
         self._anchor_due = False  # at the next observation: the car stands there for 3 s
 
@@ -75,7 +75,7 @@ class Planner:
         if self._anchor_due:
             self._anchor_due = False
             self._strategy.anchor(there)
-            self._evidence = Evidence()
+            self._evidence = Evidence(self._car.least_radius_m)
         xy, color = believable(obs, self._settings)
         self._memory.add(xy, color, there)
         course = self._evidence.judged(self._strategy.plan(self._memory, xy, there), there)

@@ -74,6 +74,11 @@ class VehicleParameters(Value, frozen=True):
         return int(self.driven_front) + int(self.driven_rear)
 
     @property
+    def least_radius_m(self) -> float:
+        """Radius of the tightest bend that the rear axle can drive."""
+        return self.wheelbase_m / math.tan(self.steer_max_rad)
+
+    @property
     def speed_max_mps(self) -> float:
         """Road speed at the motors' highest speed."""
         return self.speed_of_wheel_rpm(self.motor_speed_max_rpm / self.gear_ratio)
