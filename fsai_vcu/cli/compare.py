@@ -6,12 +6,14 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
+
+import numpy as np
 
 from fsai_vcu.cli.decoding import Decoding, add_database_arguments
 from fsai_vcu.cli.sources import Sources, add_part_arguments, judged
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics
@@ -27,6 +29,7 @@ nothing differs, 1 something does, or something could not be read, 2 wrong use.
 --from and --to are of each log's own time; of chosen messages or signals no
 problems are told."""
 SHARE: Final = 0.1
+SHOWN: Final = 4  # words of a signal, the most frequent ones
 TOLD: Final = ("missing", "period")
 Difference = tuple[str, dict[str, Any]]  # in words, and what --json prints of it
 
@@ -56,15 +59,16 @@ def run(args: argparse.Namespace) -> int:
             status = 1
         found.append(one)
     first, second = (one.record for one in found)
-    differences = [] if patterns else list(_messages(*(one.bus for one in found)))
-    differences += _signals(first, second, patterns or ["*"])
-    if first.revision.name != second.revision.name:
-        revisions = {"first": first.revision.name, "second": second.revision.name}
-        differences.append(("interface revision: {first}, then {second}".format(**revisions), {"revision": revisions}))
+    differences: list[Difference] = []
     if not (patterns or args.messages):  # some messages alone have no story
         for name, here, there in zip(args.logs, found, reversed(found), strict=True):
             for line in _problems(here.verdict, there.verdict):
                 differences.append((f"only in {name}: {line}", {"problem": line, "only_in": name}))
+    if first.revision.name != second.revision.name:
+        revisions = {"first": first.revision.name, "second": second.revision.name}
+        differences.append(("interface revision: {first}, then {second}".format(**revisions), {"revision": revisions}))
+    differences += [] if patterns else _messages(*(one.bus for one in found))
+    differences += _signals(first, second, patterns or ["*"])
     if args.json:
         print("".join(f"{json.dumps({**facts, 'words': words})}\n" for words, facts in differences), end="")
     else:
@@ -110,8 +114,19 @@ def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[Dif
             ranges = [(float(s.values.min()), float(s.values.mean()), float(s.values.max())) for s in (before, after)]
             width = max(ranges[0][2], ranges[1][2]) - min(ranges[0][0], ranges[1][0])
             if any(abs(new - old) > SHARE * width for old, new in zip(*ranges, strict=True)):
-                words = ", then ".join(f"{low:g} to {high:g} (mean {mean:.4g})" for low, mean, high in ranges)
+                words = ", then ".join(
+                    _shares(series, signal.choices) if signal.choices else f"{low:g} to {high:g} (mean {mean:.4g})"
+                    for series, (low, mean, high) in zip((before, after), ranges, strict=True)
+                )
                 facts: dict[str, Any] = {"signal": f"{layout.name}.{signal.name}", "unit": signal.unit}
                 for log, (low, mean, high) in zip(("first", "second"), ranges, strict=True):
                     facts[log] = {"min": low, "mean": mean, "max": high}
                 yield f"{layout.name}.{signal.name}: {words} {signal.unit}".rstrip(), facts
+
+
+def _shares(series: Series, choices: Mapping[int, str]) -> str:
+    """The words that a signal had, and in which share of its frames."""
+    values, counts = np.unique(series.values, return_counts=True)
+    most = np.argsort(-counts, kind="stable")[:SHOWN]
+    shares = (f"{choices.get(int(values[at]), f'{values[at]:g}')} {counts[at] / len(series):.0%}" for at in most)
+    return " ".join(shares)

@@ -14,24 +14,26 @@ from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.printable import printable
 
-EXAMPLE = "fsai-vcu dbc show 0x520\n  fsai-vcu dbc diff 2021 2026"
+EXAMPLE = "fsai-vcu dbc show 0x520\n  fsai-vcu dbc show ANGLE\n  fsai-vcu dbc diff 2021 2026"
 ABOUT = """\
 A database is a file that cantools reads, or the name of an interface revision
 (2021 or 2026). list: its messages; show: signals by message name, pattern or
-identifier; diff: what differs. Exit status: 0 done (diff: no difference), 1
+identifier, or by a signal's name; diff: what differs. Exit status: 0 done (diff: no difference), 1
 a message is not found, or a difference, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("what", choices=("list", "show", "diff"), metavar="list|show|diff", help="what to print")
-    add("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
+    add("what", metavar="list|show|diff", help="what to print; show may be left out")
+    add("names", nargs="*", metavar="NAME", help="show: messages, or signals; diff: two databases")
     add("--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)")
     add("--json", action="store_true", help="one JSON object per message, or per difference")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the messages of a database, or the differences between two, and return the exit status."""
+    if args.what not in ("list", "show", "diff"):
+        args.what, args.names = "show", [args.what, *args.names]
     if args.what == "diff":
         if len(args.names) != 2:
             raise WrongUse("diff takes two databases: fsai-vcu dbc diff 2021 2026")
@@ -42,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
             print(line)
         return 1 if lines else 0
     layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
-    chosen = [layout for layout in layouts if not args.names or any(map(layout.is_called, args.names))]
-    unknown = [name for name in args.names if not any(layout.is_called(name) for layout in layouts)]
+    chosen = [layout for layout in layouts if not args.names or any(_asked(layout, name) for name in args.names)]
+    unknown = [name for name in args.names if not any(_asked(layout, name) for layout in layouts)]
     for layout in chosen:
         if args.json:
             print(json.dumps(_as_dict(layout, args.what == "show")))
@@ -52,9 +54,16 @@ def run(args: argparse.Namespace) -> int:
         if args.what == "show":
             print("".join(f"    {_signal(signal)}\n" for signal in layout.signals), end="")
     if unknown:
-        meant = did_you_mean(unknown[0], (layout.name for layout in layouts))
-        raise UserError(f"no message {' or '.join(unknown)} in {args.dbc}{meant}")
+        names = (layout.name for layout in layouts)
+        signals = (signal.name for layout in layouts for signal in layout.signals)
+        meant = did_you_mean(unknown[0], (*names, *signals))
+        raise UserError(f"no message or signal {' or '.join(unknown)} in {args.dbc}{meant}")
     return 0
+
+
+def _asked(layout: MessageLayout, name: str) -> bool:
+    """Return true for the name of the message, or of a signal in it."""
+    return layout.is_called(name) or any(signal.name.casefold() == name.casefold() for signal in layout.signals)
 
 
 def _load(name: str) -> Databases:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import sys
 import time
 from typing import Final
@@ -99,6 +98,11 @@ def run(args: argparse.Namespace) -> int:
     received_at, silent = time.monotonic(), True
     try:
         for frames in map(lines.chosen, sources.chunks()):
+            if left == 0:  # all that fit on the screen are shown, and there are more
+                if len(frames):
+                    _say_more(args.verb)
+                    break
+                continue
             if len(frames):
                 received_at, silent = time.monotonic(), False
                 lines.zero_ns = None if sources.live else sources.first_ns
@@ -106,9 +110,9 @@ def run(args: argparse.Namespace) -> int:
                 write_out(lines.block(shown))
                 if left is not None:
                     left -= len(shown)
-                    if left == 0:
+                    if left == 0 and (not on_screen or len(shown) < len(frames)):
                         if on_screen:
-                            _say_more(args.verb, sources)
+                            _say_more(args.verb)
                         break
             elif args.idle_ms is not None and (time.monotonic() - received_at) * 1000 >= args.idle_ms:
                 if silent:
@@ -120,14 +124,10 @@ def run(args: argparse.Namespace) -> int:
     return sources.status
 
 
-def _say_more(verb: str, sources: Sources) -> None:
+def _say_more(verb: str) -> None:
     """Tell how to see the rest of a log of which a terminal has shown the beginning."""
-    name = shlex.quote(sources.names[0])
-    print(
-        f"fsai-vcu {verb}: the first {_ON_SCREEN} frames are shown; more: -n COUNT, --from TIME; "
-        f"all of them: fsai-vcu {verb} {name} | less",
-        file=sys.stderr,
-    )
+    more = "more: -n COUNT, --from TIME; all of them: the same command with | less"
+    print(f"fsai-vcu {verb}: the first {_ON_SCREEN} frames are shown; {more}", file=sys.stderr)
 
 
 class _Lines:

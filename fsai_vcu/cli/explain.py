@@ -48,8 +48,11 @@ def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> 
     text: Iterable[str] = text_lines(shown, sources.name, timeline=args.timeline, colour=colour)
     for line in json_lines(shown, sources.name) if args.json else text:
         print(line)
-    others = tuple(one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told)
-    text = (*replace(verdict, findings=others).lines(), f"verdict: {verdict.line()}")
+    others = [one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told]
+    notes = [one for one in verdict.findings if one.severity != "problem"]
+    if args.timeline:
+        others += notes
+    text = (*replace(verdict, findings=tuple(others)).lines(), f"verdict: {verdict.line()}")
     for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
     return verdict.status

@@ -19,6 +19,7 @@ EXAMPLE = (
 )
 _DEFAULT_RASTER = "10ms"
 _FORMATS = ("csv", "parquet", "mcap", "mf4")
+_FILES = ("mcap", "mf4")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
         "other, as the segments of a recording",
     )
-    add("--format", choices=_FORMATS, help="what to make; it must be said")
+    add("--format", choices=_FORMATS, help="what to make (default: as PATH ends, where it is a file)")
     add(
         "-o",
         "--output",
@@ -61,6 +62,9 @@ def _take_old_names(args: argparse.Namespace) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the arguments, then write the log's tables."""
     _take_old_names(args)
+    ending = args.output.suffix.lstrip(".").lower()
+    if args.format is None and ending in _FORMATS and (args.wide or ending in _FILES):
+        args.format = ending
     if args.format is None:
         raise WrongUse(f"--format is missing: {', '.join(_FORMATS)}")
     if args.raster is not None and not args.wide:

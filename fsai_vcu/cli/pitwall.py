@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     if sources.live and (part or args.rate is not None or args.loop):
         raise WrongUse("--from, --to, --rate and --loop are for logs")
     if not sources.live and (args.seconds is not None or args.ros):
-        raise WrongUse("--seconds and --ros are for live buses")
+        raise WrongUse(f"--{'ros' if args.ros else 'seconds'} is for a live bus, and {sources.name} is a log")
     if args.namespace and not args.ros:
         raise WrongUse("--namespace goes with --ros")
     if args.loop and not sources.files:

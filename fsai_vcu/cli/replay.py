@@ -18,7 +18,7 @@ from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.units import S
-from fsai_vcu.runtime.bus import BusLost, open_bus
+from fsai_vcu.runtime.bus import BusLost, check_interface, open_bus, split_spec
 
 EXAMPLE = "fsai-vcu replay run.log vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
 _LATE_NS: Final = 10_000_000  # a cycle of the bus
@@ -62,6 +62,9 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("replay", args.logs, part=part_of(args, Decoding("replay", args)))
     if sources.live:
         raise WrongUse(f"{sources.name} is an interface; replay reads logs")
+    kind, channel = split_spec(args.interface)
+    if kind == "socketcan":
+        check_interface(channel)  # before anybody is told to say --physical
     physical = is_physical(args.interface)
     if physical and not args.physical:
         raise UserError(

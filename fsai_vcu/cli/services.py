@@ -165,9 +165,9 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
                 say_s = waited_s + _SAY_AGAIN_S if urgent else math.inf
                 what = f"{name} is offered, but not answered" if asked else f"no bridge offers {name}"
                 what = f"{name}: {NO_ANSWER}" if answers else what
-                press = "; press the remote's E-stop" if urgent else ""
+                press = "PRESS THE REMOTE'S E-STOP: " if urgent else ""
                 left = f"{max(1.0, args.wait - waited_s):.0f} s more"
-                print(f"{what}{press}; asking for {left}, Ctrl-C ends it", file=sys.stderr, flush=True)
+                print(f"{press}{what}; asking for {left}, Ctrl-C ends it", file=sys.stderr, flush=True)
             if waited_s >= ask_s and client.service_is_ready():
                 # The answer to a first request is lost when the server has not yet discovered its client: ask again.
                 # Every request of the operator may be repeated without harm, and a late answer to any of them counts.

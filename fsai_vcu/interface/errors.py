@@ -18,12 +18,12 @@ class WrongUse(UserError):
     """Request that makes no sense, whatever is on the bus or in the log."""
 
 
-def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """The end of an error about an unknown name: the names that were perhaps meant, else all of few; else nothing."""
+def did_you_mean(word: str, names: Iterable[str], few: int = _FEW) -> str:
+    """The end of an error about an unknown name: the names that were perhaps meant, else all of `few`; else nothing."""
     by_folded = {name.casefold(): name for name in names}
     folded = word[:_LONGEST].casefold()
     close = get_close_matches(folded, by_folded, n=3)
     close += [each for each in by_folded if folded and folded in each and each not in close][: 3 - len(close)]
     if close:
         return f"; did you mean {' or '.join(by_folded[each] for each in close)}?"
-    return f"; there are: {', '.join(by_folded.values())}" if len(by_folded) <= _FEW else ""
+    return f"; there are: {', '.join(by_folded.values())}" if len(by_folded) <= few else ""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cantools.database.can import Signal
 
 _FLOAT32_MAX: Final = 3.4028234663852886e38
+_FAULT_BIT: Final = "__F__"
 _FEW_BITS: Final = 8  # so wide a number takes few values: each is computed once
 # Physical values are products of a raw integer and a decimal scale: equal up to the last bits of a float.
 _ROUNDING: Final = 1e-9
@@ -29,6 +30,11 @@ class Odd(Exception):
 
     def __init__(self, value: Any, problem: str) -> None:
         self.value, self.problem = value, problem
+
+
+def unit_of(signal: Signal) -> str:
+    """The unit as people read it; the interface's databases mark a fault bit there, which is none."""
+    return signal.unit if signal.unit and signal.unit != _FAULT_BIT else ""
 
 
 def _is_number(value: Any) -> bool:
@@ -158,5 +164,5 @@ class Slot:
             return EncodeError(f"{self._what} {value!r} is not in the interface's table")
         if not _is_number(value):
             return EncodeError(f"{self._what} is {value!r}, not a number")
-        limits = f"{self._low:g} … {self._high:g} {self.signal.unit or ''}".strip()
+        limits = f"{self._low:g} … {self._high:g} {unit_of(self.signal)}".strip()
         return EncodeError(f"{self._what} {value:g} is out of range {limits}")

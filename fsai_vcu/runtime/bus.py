@@ -277,7 +277,7 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
     if receive is not None:
         filters = [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(receive)]
     if kind == "socketcan":
-        _check_interface(channel)
+        check_interface(channel)
     try:
         bus = can.Bus(interface=kind, channel=channel, can_filters=filters)
         if kind == "socketcan":
@@ -306,7 +306,7 @@ def can_interfaces() -> list[str]:
     return sorted(name for _, name in socket.if_nameindex() if _asked(name, _SIOCGIFHWADDR) == _ARPHRD_CAN)
 
 
-def _check_interface(channel: str) -> None:
+def check_interface(channel: str) -> None:
     """Say in words what a bare OSError would not: absent, not a CAN device, or down."""
     kind = _asked(channel, _SIOCGIFHWADDR)
     if kind is None:

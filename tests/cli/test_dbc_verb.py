@@ -19,6 +19,18 @@ def test_a_message_is_shown_by_number_name_or_pattern(name: str, capsys: pytest.
     ]
 
 
+@pytest.mark.parametrize("argv", ["513", "show steer_request", "STEER_REQUEST"])
+def test_show_may_be_left_out_and_a_signal_finds_its_message(argv: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", *argv.split()]) == 0
+    assert capsys.readouterr().out.startswith("0x513 AI2VCU_Steer: ")
+
+
+def test_the_mark_of_a_fault_bit_is_no_unit(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", "show", "0x520"]) == 0
+    said = capsys.readouterr().out
+    assert "EBS_FAULT: bit 43, 1 bit unsigned: " in said and "__F__" not in said
+
+
 def test_two_revisions_differ_message_by_message(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dbc", "diff", "2021", "2026"]) == 1
     lines = capsys.readouterr().out.splitlines()

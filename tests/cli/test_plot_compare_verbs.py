@@ -82,6 +82,19 @@ def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.Captu
     ]
 
 
+def test_problems_come_first_and_states_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [tmp_path / "a.log", tmp_path / "b.log"]
+    for path, states in zip(logs, ("2222", "2244"), strict=True):
+        lines = (
+            f"({n}.{place}) can0 520#00{0:02X}0{state}0000000000\n" for n, state in enumerate(states) for place in "024"
+        )
+        path.write_text("".join(lines))
+    assert main(["compare", *map(str, logs)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(f"only in {logs[1]}: at ") and "EMERGENCY_BRAKE" in said[0]
+    assert said[-1] == "VCU2AI_Status.AS_STATE: AS_READY 100%, then AS_READY 50% EMERGENCY_BRAKE 50%"
+
+
 def test_each_difference_is_an_object_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = log(tmp_path / "b.log", period_ms=20, angle=80)
     assert main(["compare", str(log(tmp_path / "a.log")), str(other), "--json"]) == 1

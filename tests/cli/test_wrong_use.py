@@ -58,8 +58,8 @@ USES = [
     ("record --service --config gone.toml", 1, "gone.toml: cannot be read: No such file"),
     ("decode folder", 1, "folder: no log in this folder"),
     # ---------------------------------------------------------------- databases and dumps
-    ("dbc show VCU2AI_Stear", 1, "no message VCU2AI_Stear in 2026; did you mean VCU2AI_Steer"),
-    ("dbc show 0x513 nothing", 1, "no message nothing in 2026"),
+    ("dbc show VCU2AI_Stear", 1, "no message or signal VCU2AI_Stear in 2026; did you mean VCU2AI_Steer"),
+    ("dbc show 0x513 nothing", 1, "no message or signal nothing in 2026"),
     ("dbc diff 2021", 2, "diff takes two databases"),
     ("dbc list --dbc /nowhere.dbc", 1, "/nowhere.dbc"),
     ("dump run.log -n 0", 2, "-n is 0, but at least 1 frame can be shown"),
@@ -97,8 +97,8 @@ USES = [
     ("monitor run.log --signals AS_STATE,NOTHING*", 1, "no signal NOTHING*; fsai-vcu dbc show lists them"),
     ("pitwall can0 --loop", 2, "--rate and --loop are for logs"),
     ("pitwall - --loop", 2, "--loop is for logs that are files"),
-    ("pitwall run.log --seconds 1", 2, "--seconds and --ros are for live buses"),
-    ("pitwall run.log --ros", 2, "--seconds and --ros are for live buses"),
+    ("pitwall run.log --seconds 1", 2, "--seconds is for a live bus, and run.log is a log"),
+    ("pitwall run.log --ros", 2, "--ros is for a live bus, and run.log is a log"),
     ("pitwall can0 --namespace /car1", 2, "--namespace goes with --ros"),
     ("pitwall run.log --rate 0", 2, "--rate is 0, but must be 0.01 or more"),
     ("pitwall run.log --port 70000", 2, "--port is 70000, but must be 0 to 65535"),
@@ -114,7 +114,9 @@ USES = [
     ("send no0 AI2VCU_Steer STEER_REQUEST=1 --as-ai", 1, "no CAN interface 'no0'"),
     ("export run.log -o x", 2, "--format is missing: csv, parquet, mcap, mf4"),
     ("decode run.log --messages VCU2AI_Stear", 1, "no message VCU2AI_Stear; did you mean VCU2AI_Steer"),
-    ("replay run.log -i no0", 1, "no0 may be a real bus"),
+    ("replay run.log -i no0", 1, "no CAN interface 'no0'"),
+    ("explain rnu.log", 1, "rnu.log: No such file or directory; did you mean run.log"),
+    ("explain nothing/run.log", 1, "nothing/run.log: No such file or directory"),
     ("replay run.log -i no0 --physical", 1, "no CAN interface 'no0'"),
     *(
         (f"replay {use} -i {BUS}", status, words)

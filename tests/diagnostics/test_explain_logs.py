@@ -285,6 +285,19 @@ def test_a_log_that_ends_in_mid_drive_has_no_incident(stopped: Frames) -> None:
     assert story.closing.endswith("AS_DRIVING")
 
 
+def test_the_end_of_a_mission_is_told_with_its_time_and_laps() -> None:
+    sent = ((2.0, "01", "02", "00"), (30.0, "03", "02", "01"), (31.0, "05", "03", "01"))
+    lines = [
+        line
+        for t_s, state, mission, laps in sent
+        for line in ((t_s, 0x520, f"0000{state}0000000000"), (t_s + 0.01, 0x510, f"00{mission[1]}0{laps}0000000000"))
+    ]
+    ends = "the log ends with the car in AS_FINISHED: mission complete at 29.0 s after lap 1"
+    assert tell(hand_made(lines)).closing == ends
+    unsaid = [line for line in lines if line[1] == 0x520]
+    assert tell(hand_made(unsaid)).closing == "the log ends with the car in AS_FINISHED"
+
+
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.5, 0.7, 0.9])
 def test_no_piece_of_a_drive_is_told_a_wrong_emergency(stopped: Frames, share: float) -> None:
     length = int(stopped.t_ns[-1] - stopped.t_ns[0])
@@ -442,7 +455,7 @@ def test_the_cause_fills_a_screen_and_the_timeline_is_asked_for(
     path = written(faulty, tmp_path / "run.log")
     short, whole = (explain(path, *words)[1].splitlines() for words in ((), ("--timeline",)))
     assert len(short) <= 14 and "AS_STATE AS_READY → AS_DRIVING" not in "\n".join(short)
-    assert f"(--timeline: what happened until then, {len(explained(Record(faulty)).events)} lines)" in short[1]
+    assert f"(--timeline: what happened until then, {len(explained(Record(faulty)).events)} lines, and the notes)" in short[1]
     assert "AS_STATE AS_READY → AS_DRIVING" in "\n".join(whole) and set(short[2:]) <= set(whole)
 
 

@@ -190,7 +190,7 @@ def test_an_emergency_brake_asks_until_a_slow_bridge_answers() -> None:
         assert process.stderr is not None and process.stdout is not None
         try:
             said = process.stderr.readline()
-            assert said.startswith("no bridge offers /emergency_brake; press the remote's E-stop; asking for ")
+            assert said.startswith("PRESS THE REMOTE'S E-STOP: no bridge offers /emergency_brake; asking for ")
             rig.tester.create_service(Trigger, "emergency_brake", answered)
             rig.spin_until(lambda: process.poll() is not None, "the answer", LONG_S)
         finally:

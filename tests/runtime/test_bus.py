@@ -94,7 +94,7 @@ def test_out_of_file_descriptors_is_reported_in_words(monkeypatch: pytest.Monkey
     def refuse(**_options: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    monkeypatch.setattr("fsai_vcu.runtime.bus._check_interface", lambda _channel: None)
+    monkeypatch.setattr("fsai_vcu.runtime.bus.check_interface", lambda _channel: None)
     monkeypatch.setattr("can.Bus", refuse)
     with pytest.raises(BusError, match="cannot open CAN interface 'can0': Too many open files"):
         open_bus("can0")
@@ -159,7 +159,7 @@ def kernel_pair(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[CanBus, socke
         def fileno(self) -> int:
             return near.fileno()
 
-    monkeypatch.setattr("fsai_vcu.runtime.bus._check_interface", lambda _channel: None)
+    monkeypatch.setattr("fsai_vcu.runtime.bus.check_interface", lambda _channel: None)
     monkeypatch.setattr("can.Bus", lambda **_options: Opened())
     with near, far, open_bus("can0") as bus:
         yield bus, far

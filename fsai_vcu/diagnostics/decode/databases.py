@@ -17,6 +17,7 @@ from fsai_vcu.interface.database_text import loaded_without_orphans, read_databa
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.interface.slots import unit_of
 from fsai_vcu.printable import printable
 from fsai_vcu.runtime.bounded import results_of
 
@@ -228,7 +229,7 @@ def _signal_layout(signal: Signal) -> SignalLayout:
         signal.is_float,
         signal.scale,
         signal.offset,
-        signal.unit or "",
+        unit_of(signal),
         {int(raw): str(name) for raw, name in (signal.choices or {}).items()},
     )
 

@@ -35,10 +35,11 @@ from fsai_vcu.diagnostics.explain.incident import (
 )
 from fsai_vcu.diagnostics.explain.proof import proved
 from fsai_vcu.diagnostics.explain.record import GONE_NS, Record
-from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
+from fsai_vcu.diagnostics.explain.signals import AS_STATE, FINISHED, LAP, MISSION_STATUS, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.interface.bus_table import BY_ID
+from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS, ms
 
@@ -179,7 +180,22 @@ def _closing(record: Record, part_ns: TimeRange) -> str:
         return f"the {what} ends before the first AS state"
     away_ns = end_ns - int(state.t_ns[before])
     silent = f", silent for the last {away_ns / 1e9:.1f} s" if away_ns >= 1_000_000_000 else ""
-    return f"the {what} ends with the car in {label(AS_STATE, float(state.values[before]))}{silent}"
+    last = float(state.values[before])
+    done = _done(record, end_ns) if last == FINISHED else ""
+    return f"the {what} ends with the car in {label(AS_STATE, last)}{silent}{done}"
+
+
+def _done(record: Record, end_ns: int) -> str:
+    """Say since when the AI computer says that its mission is done, and after how many laps."""
+    said = record.series(MISSION_STATUS)
+    until = int(np.searchsorted(said.t_ns, end_ns, side="right"))
+    others = np.flatnonzero(said.values[:until] != float(MissionStatus.FINISHED))
+    first = int(others[-1]) + 1 if len(others) else 0
+    if first >= until:
+        return ""
+    laps = record.series(LAP).at(end_ns)
+    count = f" after lap {laps:.0f}" if laps else ""
+    return f": mission complete at {(int(said.t_ns[first]) - record.begin_ns) / 1e9:.1f} s{count}"
 
 
 def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:

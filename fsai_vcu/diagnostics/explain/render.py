@@ -21,6 +21,7 @@ from fsai_vcu.diagnostics.log.frames import EPOCH_NS
 
 WIDTH: Final = 110
 _ALSO: Final = 3  # further candidates in full sentences
+_ASKED: Final = "ai_computer_request"
 _COLOURS: Final = {Weight.FAULT: "31;1", Weight.WARNING: "33", Weight.STATE: "1", Weight.NOTE: "2"}
 
 
@@ -62,7 +63,7 @@ def text_lines(story: Explanation, name: str, *, timeline: bool = False, colour:
     if timeline:
         yield f"{seconds(story, story.end_ns):9.3f} s  {'':<9} {story.closing}"
     else:
-        yield f"{story.closing} (--timeline: what happened until then, {len(story.events)} lines)"
+        yield f"{story.closing} (--timeline: what happened until then, {len(story.events)} lines, and the notes)"
     for incident in story.incidents:
         yield ""
         yield from _incident_lines(story, incident, paint, more=timeline)
@@ -85,9 +86,13 @@ def _incident_lines(story: Explanation, incident: Incident, paint: Any, *, more:
     record = story.to_record(first.cause) if more else ""
     if record:
         yield from _wrapped(f"to know more, record next time: {record}.", "  ", paint)
+    told = {step.words for step in first.steps}
     for other in incident.candidates[1 : 1 + _ALSO]:
-        step = other.steps[0]
-        yield from _wrapped(f"also ({other.sureness.words}): {other.cause.words}. {step.words}.", "  ", paint)
+        seen = other.steps[0].words
+        if other.slug == _ASKED and seen in told:
+            continue  # the same, without what made it ask
+        words = ". ".join((other.cause.words, *([] if seen in told else [seen])))
+        yield from _wrapped(f"also ({other.sureness.words}): {words}.", "  ", paint)
         if other.sureness >= Sureness.SHOWN:
             yield from _wrapped(f"what to do: {other.cause.remedy}.", "      ", paint)
 

@@ -10,6 +10,8 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -23,12 +25,13 @@ from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
 from fsai_vcu.diagnostics.log.rows import Rows
 from fsai_vcu.diagnostics.log.stream import as_utf8, head_of, unpacked
 from fsai_vcu.files import open_named
-from fsai_vcu.interface.errors import UserError
+from fsai_vcu.interface.errors import UserError, did_you_mean
 from fsai_vcu.runtime.bounded import BoundedError
 
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 21  # more than that does not stay in a processor's cache
 _BATCH: Final = 10_000
+_BESIDE: Final = 10_000  # files, among which one that is not there may be
 
 # Times that are differences, each from the frame before, step back often, and never far on.
 _FEW: Final = 20
@@ -208,7 +211,7 @@ def open_log(path: Path | str) -> Log:
         try:
             stream = open_named(file, pipes=True)
         except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
-            raise LogError(f"{path}: {_why(error)}") from error
+            raise LogError(f"{path}: {_why(error)}{_meant(file, error)}") from error
     plain, broken = stream, None
     try:
         stream = as_utf8(unpacked(stream))
@@ -247,6 +250,15 @@ def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
+
+
+def _meant(path: Path, error: BaseException) -> str:
+    """The files beside one that is not there which were perhaps meant."""
+    if not isinstance(error, FileNotFoundError):
+        return ""
+    with suppress(OSError):
+        return did_you_mean(path.name, (each.name for each in islice(path.parent.iterdir(), _BESIDE)), few=0)
+    return ""
 
 
 def _why(error: BaseException) -> str:

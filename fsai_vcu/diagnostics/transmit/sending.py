@@ -21,6 +21,7 @@ from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.errors import UserError, did_you_mean
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS
+from fsai_vcu.interface.slots import unit_of
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -187,8 +188,7 @@ def _raw_of(signal: Signal, words: str) -> int | float:
     low, high = _limits(signal)
     margin = _ROUNDING * max(1.0, abs(low), abs(high)) if math.isfinite(low + high) else 0.0
     if not low - margin <= value <= high + margin:
-        unit = f" {signal.unit}" if signal.unit and not signal.unit.startswith("_") else ""
-        raise UserError(f"{signal.name} {value:g} is out of range {low:g} … {high:g}{unit}")
+        raise UserError(f"{signal.name} {value:g} is out of range {low:g} … {high:g} {unit_of(signal)}".rstrip())
     if signal.is_float:
         return float((value - signal.offset) / signal.scale)
     raw = round((value - signal.offset) / signal.scale)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -54,20 +55,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " say when, what is not given is drawn by --seed",
     )
     add("--full", action="store_true", help="with --fault: drive to the end of the mission")
-    add("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
+    add("--list-faults", nargs="?", const="", metavar="WORD", help="list the kinds of fault, or those with that word")
     add("--realtime", action="store_true", help="as fast as the clock, not as the computer")
     add("--plot", type=Path, metavar="FILE.png", help="save a plot of track, driven path and speed")
     add("--animate", type=Path, metavar="FILE.gif|.mp4", help="save a film of the drive, seen from above")
     add("--animate-speed", type=float, default=2.0, metavar="X", help="how many times as fast as it was driven (2)")
     add("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
-    add("--json", action="store_true", help="print one JSON object as the last line")
+    add("--json", action="store_true", help="print one JSON object, and nothing else, to standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     """Drive, then plot, animate and print the verdict; return the exit status."""
     try:
-        if args.list_faults:
-            print("\n".join(catalogue_lines()))
+        if args.list_faults is not None:
+            print("\n".join(catalogue_lines(args.list_faults)))
             return 0
         views = _views(args)
         passed, driven, record, lines = (_drive_with_fault if args.fault else _drive)(args, views)
@@ -80,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
 
             animate("fsai-vcu drive", args.animate, driven, views.views, args.animate_speed)
         saved = [f"saved {path}" for path in (args.plot, args.animate, args.log) if path and path.exists()]
+        if args.log and args.log.exists():
+            saved.append(f"what happened, and why: fsai-vcu explain {shlex.quote(str(args.log))}")
         print(json.dumps(record) if args.json else "\n".join([*lines, *saved]))
         return 0 if passed else 1
     except (ValueError, OSError) as error:

@@ -158,7 +158,8 @@ def _ms(value: float | None) -> str:
     return "–" if value is None else f"{value:.0f}"
 
 
-def catalogue_lines() -> list[str]:
-    """The catalogue for a terminal: `--list-faults`."""
+def catalogue_lines(word: str = "") -> list[str]:
+    """The catalogue for a terminal, or the lines of it with that word: `--list-faults`."""
     width = max(len(kind.name) for kind in ROWS)
-    return [f"{kind.name:<{width}}  {kind.what}" + (f" [{kind.parameters}]" if kind.draws else "") for kind in ROWS]
+    lines = [f"{kind.name:<{width}}  {kind.what}" + (f" [{kind.parameters}]" if kind.draws else "") for kind in ROWS]
+    return [line for line in lines if word.casefold() in line.casefold()] or [f"no kind of fault with '{word}'"]
