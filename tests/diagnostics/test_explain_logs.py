@@ -455,8 +455,10 @@ def test_the_cause_fills_a_screen_and_the_timeline_is_asked_for(
     path = written(faulty, tmp_path / "run.log")
     short, whole = (explain(path, *words)[1].splitlines() for words in ((), ("--timeline",)))
     assert len(short) <= 14 and "AS_STATE AS_READY → AS_DRIVING" not in "\n".join(short)
-    assert f"(--timeline: what happened until then, {len(explained(Record(faulty)).events)} lines, and the notes)" in short[1]
+    more = f"what happened until then, {len(explained(Record(faulty)).events)} lines, and the notes"
+    assert short[1].endswith(f"(--timeline: {more})")
     assert "AS_STATE AS_READY → AS_DRIVING" in "\n".join(whole) and set(short[2:]) <= set(whole)
+    assert any(line.startswith("note: never received: ") for line in whole)
 
 
 def test_what_makes_it_not_ok_is_named_beside_the_story(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
