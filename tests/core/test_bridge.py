@@ -37,8 +37,7 @@ def brake_to_rest(rig: Rig) -> None:
     """The wheels slow down with 4 m/s2 while the car is asked to brake."""
     asked = rig.asked
     if asked is not None and asked.brake_requested:
-        rpm = max(0, rig.rpm[0] - 2)
-        rig.rpm = (rpm, rpm, rpm, rpm)
+        rig.rpm = max(0, rig.wheels_rpm[0] - 2)
 
 
 AS_STATE, AMI = (2, 0), (2, 4)
@@ -68,7 +67,7 @@ def test_a_run_from_as_off_to_as_finished_reports_no_reason(revision_name: str) 
     assert not rig.sent.torque_requested and rig.sent.brake_requested and rig.sent.steer_deg == 0.0
     rig.run_ms(500)
     assert rig.sent.torque_requested and rig.sent.steer_deg == 5.7 and not rig.sent.brake_requested
-    rig.rpm = (300, 300, 300, 300)
+    rig.rpm = 300
     rig.run_ms(5000)
     rig.command = replace(rig.command, throttle=0.0, mission_finished=True, laps=1)
     rig.alive = brake_to_rest
@@ -142,7 +141,7 @@ def test_on_start_a_process_listens_for_200_ms_and_then_sends() -> None:
 def test_started_in_as_driving_it_brakes_the_car_to_rest() -> None:
     rig = Rig()
     rig.say_state(DRIVING, go_signal=True)
-    rig.rpm = (300, 300, 300, 300)
+    rig.rpm = 300
     rig.alive = brake_to_rest
     rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=10.0)
     rig.run_ms(230)
@@ -251,7 +250,7 @@ def test_a_lost_command_stops_the_car_and_ends_in_manual_at_rest() -> None:
 
 def test_a_stuck_steering_stops_the_car_then_is_an_emergency() -> None:
     rig = driven()
-    rig.steer_deg = 0.0
+    rig.angle_deg = 0.0
     rig.command = replace(rig.command, steering_rad=math.radians(20.0))  # type: ignore[type-var]
     rig.alive = brake_to_rest
     since_ns = rig.now_ns
@@ -694,7 +693,7 @@ def test_as_driving_entered_during_shutdown_is_never_unbraked(rpm: int) -> None:
     rig.run_ms(600)
     rig.bridge.begin_stop(rig.now_ns)
     rig.step()
-    rig.rpm = (rpm, rpm, rpm, rpm)
+    rig.rpm = rpm
     rig.say_state(DRIVING, go_signal=True)
     asked = rig.step()
     assert asked is not None and not asked.torque_requested
@@ -849,7 +848,7 @@ def test_a_shutdown_request_is_passed_on_at_rest() -> None:
     rig.status = replace(rig.status, shutdown_request=True)
     rig.step()
     assert not rig.report.shutdown_requested
-    rig.rpm = (0, 0, 0, 0)
+    rig.rpm = 0
     rig.run_ms(600)
     assert rig.report.shutdown_requested
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 from msgspec.structs import fields, replace
-from supervision_rig import WELL, Rig, driven
+from supervision_rig import Rig, driven
 
+from fsai_hil.evidence.small_car import WELL
 from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.supervision.config import official_simulator
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
