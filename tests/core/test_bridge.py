@@ -501,13 +501,9 @@ def test_after_1_s_frames_of_another_revision_count_from_0(pause_ns: int) -> Non
 def test_another_revision_that_begins_in_mid_run_is_logged() -> None:
     rig = driven()
     rig.alive = lambda rig: rig.bridge.on_frame(telling_of("2021", rig.now_ns))
-    rig.run_ms(90)
-    assert dict(rig.report.reason_counts) == {}
-    rig.run_ms(10)
-    assert rig.report.reason_counts == {"other_revision": 1}
-    assert rig.report.reason_details["other_revision"].startswith("the car speaks interface revision 2021")
-    rig.run_ms(1000)
+    rig.run_ms(1100)
     assert rig.sent.torque_requested and rig.report.reason_counts == {"other_revision": 1}
+    assert rig.report.reason_details["other_revision"].startswith("the car speaks interface revision 2021")
 
 
 @pytest.mark.parametrize("ours", ["2021", "2026"])

@@ -550,11 +550,10 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("8", "a lost bus").of(Fed, lambda s: lost(s, torque=False), then.loses_the_bus().cycle(SELECTED)),
     Case("8", "five cycles at the end").of(Fed, lambda s: ended(s, BRAKING, 5), lambda s: ended(s, BRAKING, 6)),
     Case("modes", "manual is granted").of(Fed, then.asks("manual"), then.asks("manual", done=False)),
-    Case("modes", "autonomous where the car may not launch").of(
-        Fed, then.asks("autonomous"), then.driving().asks("manual").asks("autonomous")
-    ),
-    Case("modes", "autonomous where it is that already").of(
-        Fed, then.driving().asks("autonomous"), then.driving().asks("manual").asks("autonomous")
+    Case("modes", "autonomous where the car may not launch, or is that already").of(
+        Fed,
+        then.asks("autonomous").driving().asks("autonomous"),
+        then.driving().asks("manual").asks("autonomous"),
     ),
     Case("modes", "an unknown mode").of(Fed, then.asks("sideways", done=False), then.asks("sideways")),
     Case("modes", "autonomous as it was chosen").of(

@@ -39,7 +39,7 @@ WELL: Final = VcuStatus(
 
 
 class SmallCar:
-    """What a car says in one of its cycles: the fuzz, the bridge's tests and the rules' tests drive it."""
+    """Car that the fuzz, the bridge's tests and the rules' tests drive: its messages of one cycle."""
 
     angle_max_deg = 30.0
     torque_max_nm = 195.0
