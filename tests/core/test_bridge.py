@@ -13,6 +13,7 @@ from supervision_rig import CYCLE, MS, Rig, S, codec_of, driven
 
 from fsai_vcu.core.bridge import Bridge, BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.report import IDS_KEPT
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
@@ -823,7 +824,9 @@ def test_a_fuzzed_bus_does_not_fill_the_memory() -> None:
     rig = Rig().wake()
     for n in range(300):
         rig.bridge.on_reset_confirmed(f"role {n}", 1)
+        rig.bridge.on_frame(Frame(0x680 + n, b"", rig.now_ns))
     assert len(rig.report.problem_counts) == 101 and rig.report.problem_counts["other problems"] == 200
+    assert len(rig.report.rx_counts) == IDS_KEPT
 
 
 def test_the_snapshot_tells_ages_and_cannot_be_changed() -> None:
