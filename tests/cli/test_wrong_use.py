@@ -12,17 +12,19 @@ from fsai_vcu.cli.main import main
 GOOD = "(1.000000) can0 523#640064006400\n(1.010000) can0 510#0000000000000000\n"
 FOREIGN = b'VERSION ""\n\nBU_: A\n\nBO_ 291 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "rpm" A\n'
 BUS = "loopback:wrong-use"
+READERS = ("decode", "explain", "monitor", "pitwall")
 USES = [
     # ---------------------------------------------------------------- what no verb or no file is
     ("fly", 2, "no verb 'fly'"),
     ("mode auto", 2, "there is no mode 'auto'; did you mean autonomous?"),
     ("mode sport", 2, "there is no mode 'sport'; there are: manual, autonomous"),
     ("status --wait nan", 2, "--wait is nan, but must be 0 or more"),
-    *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in ("decode", "monitor", "pitwall")),
+    *((f"{verb} gone.log", 1, "gone.log: No such file or directory") for verb in READERS),
     *((f"{verb} no0", 1, "no CAN interface 'no0'") for verb in ("decode", "dump", "monitor", "pitwall --port 0")),
     *((f"{verb} -i no0", 1, "no CAN interface 'no0'") for verb in ("dump -t z", "check", "foxglove --port 0")),
-    *((f"{verb} empty.log", 1, "no frames in it") for verb in ("decode", "monitor")),
-    *((f"{verb} garbage.log", 1, "line 1: not text") for verb in ("decode", "monitor")),
+    *((f"{verb} empty.log", 1, "no frames in it") for verb in ("decode", "explain", "monitor")),
+    *((f"{verb} garbage.log", 1, "line 1: not text") for verb in ("decode", "explain", "monitor")),
+    *((f"explain run.log {option} nan", 2, f"{option} is nan") for option in ("--from", "--to")),
     *((f"{verb} run.log --revision 2030", 2, "choose one of 2021, 2026") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --dbc gone.dbc", 1, "gone.dbc: cannot be read: No such") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --from 500", 1, "run.log is in that part") for verb in ("decode", "dump", "check", "explain")),

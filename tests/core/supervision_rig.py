@@ -8,35 +8,15 @@ from functools import cache
 
 from msgspec.structs import replace
 
+from fsai_hil.evidence.small_car import SmallCar
 from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeReport
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import (
-    Ami,
-    AsState,
-    BrakeStatus,
-    EbsState,
-    EbsStatus,
-    MissionStatus,
-    OpState,
-    SteeringStatus,
-    TsState,
-)
+from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.messages import (
-    AiCommand,
-    Image,
-    VcuBrake,
-    VcuDriveFront,
-    VcuDriveRear,
-    VcuStatus,
-    VcuSteer,
-    WheelCounts,
-    WheelSpeeds,
-    command_of,
-)
+from fsai_vcu.interface.messages import AiCommand, Image, WheelCounts, command_of
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.units import MS, S
@@ -44,25 +24,12 @@ from fsai_vcu.interface.units import MS, S
 CYCLE = 10 * MS
 
 
-WELL = VcuStatus(
-    as_switch=True,
-    ts_switch=True,
-    as_state=AsState.AS_OFF,
-    ami=Ami.TRACKDRIVE,
-    steering_status=SteeringStatus.ACTIVE,
-    op_state=OpState.OP_AUTO,
-    ts_state=TsState.TS_RUNNING,
-    ebs_state=EbsState.EBS_ARMED,
-)
-"""0x520 of a car with which all is as it should be."""
-
-
 @cache
 def codec_of(name: str) -> Codec:
     return Codec(revision(name))
 
 
-class Rig:
+class Rig(SmallCar):
     """A bridge, a car that says what the test sets, and a controller that commands what the test sets."""
 
     def __init__(
@@ -87,13 +54,9 @@ class Rig:
             from_start=True,
         )
         # What the car says
-        self.status = WELL
-        self.rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
+        self.angle_max_deg = entry.steer_limit_deg
         self.pulse_rpm: tuple[int, int, int, int] | None = None  # None: the counts run as the wheel speeds say
         self.turns = [0.0, 0.0, 0.0, 0.0]
-        self.steer_deg: float | None = None  # None: the steering follows at once
-        self.angle_max_deg = entry.steer_limit_deg
-        self.torque_max_nm = 195.0
         self.mute: set[type] = set()  # messages that do not come
         self.off = False  # the car is switched off
         self.alive: Callable[[Rig], None] = lambda rig: None  # called before each cycle
@@ -103,7 +66,6 @@ class Rig:
         self.confirmed_run_id: int | None = None
         self.complete = True
         self.asked: AiCommand | None = None
-        self.echo = AiCommand()
         self.log: list[tuple[int, AiCommand]] = []
 
     # ------------------------------------------------------------ the car
@@ -124,29 +86,13 @@ class Rig:
         if self.off:
             return
         self.status = replace(self.status, handshake=not self.status.handshake)
-        steer_deg = self.echo.steer_deg if self.steer_deg is None else self.steer_deg
-        for image in (
-            self.status,
-            VcuDriveFront(0.0, 0.0, self.torque_max_nm),
-            VcuDriveRear(0.0, 0.0, self.torque_max_nm),
-            VcuSteer(steer_deg, self.angle_max_deg, self.echo.steer_deg),
-            VcuBrake(
-                0.0,
-                self.echo.front_brake_pct,
-                0.0,
-                self.echo.rear_brake_pct,
-                BrakeStatus.READY,
-                EbsStatus.ARMED,
-            ),
-            WheelSpeeds(*self.rpm),
-            self.counted(),
-        ):
+        for image in (*self.images(), self.counted()):
             if type(image) not in self.mute:
                 self.say(image)
 
     def counted(self) -> WheelCounts:
         """The pulse counts after another cycle."""
-        for wheel, rpm in enumerate(self.pulse_rpm or self.rpm):
+        for wheel, rpm in enumerate(self.pulse_rpm or self.wheels_rpm):
             self.turns[wheel] += rpm / 60.0 * CYCLE / S
         return WheelCounts(*(int(turns * self.car.wheel_pulses_per_rev) % 65536 for turns in self.turns))
 
@@ -182,7 +128,7 @@ class Rig:
             if self.complete:
                 images = [self.wire.on_frame(frame) for frame in self.codec.encode_command(asked, self.now_ns)]
                 self.wire.cycle_over(self.now_ns)
-                self.echo = command_of({type(image): image for image in images})  # type: ignore[misc]
+                self.heard = command_of({type(image): image for image in images})  # type: ignore[misc]
                 assert not self.wire.violations, self.wire.violations
             self.bridge.on_sent(self.complete, self.now_ns)
             self.log.append((self.now_ns, asked))
@@ -242,7 +188,7 @@ class Rig:
         self.command = VehicleCommand(0, 0, throttle=throttle, speed_limit_mps=10.0)
         self.run_ms(3200)
         for now_rpm in (*range(200, rpm, 200), rpm):  # as a tyre can follow
-            self.rpm = (now_rpm, now_rpm, now_rpm, now_rpm)
+            self.rpm = now_rpm
             self.step(2)
         assert self.sent.torque_requested
         return self

@@ -145,20 +145,6 @@ def test_mf4_without_its_package_names_what_installs_it(tmp_path: Path, monkeypa
     assert (frames, problems) == ([], [f"{tmp_path / 'run.mf4'}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'"])
 
 
-def test_the_format_is_told_by_the_content_and_not_by_the_name(tmp_path: Path) -> None:
-    blf, text = tmp_path / "misnamed.log", tmp_path / "misnamed.blf"
-    write_with_python_can(tmp_path / "run.blf", MIXED)
-    blf.write_bytes((tmp_path / "run.blf").read_bytes())
-    text.write_bytes(b"\n".join(log_lines(frames_of(MIXED))) + b"\n")
-    assert plainly(read(blf)) == plainly(read(text)) == plainly(MIXED)
-
-
-def test_a_gzipped_log_is_read_like_the_log_itself(tmp_path: Path) -> None:
-    path = tmp_path / "run.log.gz"
-    path.write_bytes(gzip.compress(b"\n".join(log_lines(frames_of(MIXED))) + b"\n"))
-    assert plainly(read(path)) == plainly(MIXED)
-
-
 def test_the_csv_of_savvycan_is_read_in_both_versions(tmp_path: Path) -> None:
     head, now = "Time Stamp,ID,Extended,{}Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8", "{},{:08X},{},{}1,{},{},\n"
     for dir_head, dir_word, sent in (("", "", None), ("Dir,", "Rx,", False), ("Dir,", "Tx,", True)):

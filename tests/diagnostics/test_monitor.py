@@ -59,10 +59,15 @@ def every_cycle(begin_ns: int, end_ns: int, *sent: tuple[int, bytes | str]) -> F
 AI = [(0x510, SELECTED), (0x511, "00000000"), (0x512, "00000000"), (0x513, "0000"), (0x514, "0000")]
 
 
-def seen(*parts: Frames, now_ns: int | None = None) -> Picture:
+def watching(*parts: Frames) -> View:
     view = View("can0")
     for part in parts:
         view.update(part)
+    return view
+
+
+def seen(*parts: Frames, now_ns: int | None = None) -> Picture:
+    view = watching(*parts)
     assert view.memory.newest_ns is not None
     return view.picture(view.memory.newest_ns if now_ns is None else now_ns)
 
@@ -278,19 +283,14 @@ def hours(begin_ns: int, count: int, data: bytes) -> Frames:
 def test_a_missing_power_cycle_is_known_an_hour_after_the_run() -> None:
     run = every_cycle(0, S, (0x520, status(AsState.AS_FINISHED)), *AI)
     hour = hours(S, 360_000, status(AsState.AS_OFF))
-    view = View("can0")
-    for part in (run, *in_chunks(hour, 10 * S)):
-        view.update(part)
+    view = watching(run, *in_chunks(hour, 10 * S))
     now_ns = int(hour.t_ns[-1])
     assert "the car has not been switched off since its last run" in words(view.picture(now_ns))
     window = view.memory.window(now_ns)
     assert len(view.memory.condensed(window)) - len(window) < 8000
-    switched = View("can0")
-    for part in (run, *in_chunks(hours(S, 100, status(AsState.AS_OFF))), hours(4 * S, 360_000, status(AsState.AS_OFF))):
-        switched.update(part)
-    assert "the car has not been switched off since its last run" not in words(
-        switched.picture(4 * S + 360_000 * CYCLE)
-    )
+    long_after = hours(4 * S, 360_000, status(AsState.AS_OFF))
+    switched = seen(run, *in_chunks(hours(S, 100, status(AsState.AS_OFF))), long_after)
+    assert "the car has not been switched off since its last run" not in words(switched)
 
 
 def test_a_silence_of_less_than_1_s_is_never_a_power_cycle() -> None:
@@ -306,10 +306,7 @@ def test_a_silence_of_less_than_1_s_is_never_a_power_cycle() -> None:
 def test_times_that_step_back_do_not_make_old_frames_new() -> None:
     frames = every_cycle(100 * S, 101 * S, (0x520, status(AsState.AS_READY)), *AI)
     back = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
-    view = View("can0")
-    view.update(frames)
-    for part in in_chunks(back):
-        view.update(part)
+    view = watching(frames, *in_chunks(back))
     assert view.memory.newest_ns == 101 * S - CYCLE + 2 * (5 * MS // 2) + 99 * CYCLE
     picture = view.picture(view.memory.newest_ns)
     assert picture.as_state == "AS_DRIVING"
@@ -341,9 +338,7 @@ def test_the_revision_is_recognised_or_as_given() -> None:
 def test_a_byte_says_when_and_how_often_it_changed() -> None:
     steady = every_cycle(0, 2 * S, (0x7AA, "0102"))
     changed = every_cycle(2 * S, 3 * S, (0x7AA, "0107"))
-    view = View("can0")
-    for part in (steady, changed):
-        view.update(part)
+    view = watching(steady, changed)
     now_ns = 2 * S + 500 * MS
     assert {one.can_id: one.changed for one in view.picture(now_ns).messages}[0x7AA] == (1,)
     first, second = view.bytes(0x7AA, 3 * S)
@@ -353,8 +348,7 @@ def test_a_byte_says_when_and_how_often_it_changed() -> None:
 
 
 def test_signals_are_picked_by_name_or_message_in_any_case(go_off: Ended) -> None:
-    view = View("can0")
-    view.update(go_off.frames)
+    view = watching(go_off.frames)
     now_ns = int(go_off.frames.t_ns[-1])
     assert view.signals(["*"], now_ns) == []  # by which database nobody knows yet
     view.picture(now_ns)
@@ -387,9 +381,7 @@ def test_events_are_remembered_an_hour_later_with_times() -> None:
         every_cycle(2 * S, 3 * S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI),
         every_cycle(3 * S, 4 * S, (0x520, status(AsState.EMERGENCY_BRAKE, bits=1 << 24 | 1 << 49)), *AI),
     ]
-    view = View("can0")
-    for part in (*run, *in_chunks(hours(4 * S, 360_000, status(AsState.AS_OFF)), 10 * S)):
-        view.update(part)
+    view = watching(*run, *in_chunks(hours(4 * S, 360_000, status(AsState.AS_OFF)), 10 * S))
     found = {one.text: one.t_ns for one in view.events()}
     assert found["AS_STATE AS_OFF → AS_READY"] == S
     assert found["AS_STATE AS_READY → AS_DRIVING"] == found["Go on"] == 2 * S
@@ -412,8 +404,7 @@ def test_any_moment_of_a_log_is_as_if_it_had_just_come(go_off: Ended) -> None:
     assert (log.begin_ns, log.end_ns, log.position_ns) == (begin_ns, end_ns, begin_ns)
     for t_ns in (end_ns, begin_ns + S // 3, begin_ns + 700 * MS, end_ns - S, begin_ns + 5 * S):
         log.seek(t_ns)
-        fresh = View("can0")
-        fresh.update(frames.only(frames.t_ns <= t_ns))
+        fresh = watching(frames.only(frames.t_ns <= t_ns))
         assert log.look().picture.as_dict() == fresh.picture(t_ns).as_dict()
     log.seek(end_ns + S)
     assert log.position_ns == end_ns and log.ended
@@ -547,8 +538,7 @@ def test_lap_times_between_the_counters_steps_are_remembered() -> None:
 
 
 def test_trends_are_the_last_ten_seconds_of_the_bus(go_off: Ended) -> None:
-    view = View("run.log")
-    view.update(go_off.frames)
+    view = watching(go_off.frames)
     end_ns = int(go_off.frames.t_ns[-1])
     view.picture(end_ns)
     trends, record = view.trends(end_ns), Record(go_off.frames)
@@ -649,9 +639,7 @@ def test_a_state_has_the_colour_of_the_cars_lights(state: AsState, light: str, f
 
 
 def test_changed_bytes_and_values_are_highlighted() -> None:
-    view = View("can0")
-    view.update(every_cycle(0, S, (0x7AA, "0102")))
-    view.update(every_cycle(S, 2 * S, (0x7AA, "0107")))
+    view = watching(every_cycle(0, S, (0x7AA, "0102")), every_cycle(S, 2 * S, (0x7AA, "0107")))
     picture = view.picture(S + 100 * MS)
     row = message_row({one.can_id: one for one in picture.messages}[0x7AA], 80)
     assert [row.plain[span.start : span.end] for span in row.spans if "reverse" in str(span.style)] == ["07"]

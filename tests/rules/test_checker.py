@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 from msgspec.structs import replace
 
+from fsai_hil.evidence.small_car import SmallCar
 from fsai_hil.rules.checker import RULES, WireChecker, check_candump
 from fsai_hil.rules.seen import Process
 from fsai_vcu.core.command import VehicleCommand
@@ -26,7 +27,6 @@ from fsai_vcu.interface.messages import (
     Image,
     RotationB,
     VcuBrake,
-    VcuDriveFront,
     VcuDriveRear,
     VcuStatus,
     VcuSteer,
@@ -60,7 +60,7 @@ def drive(torque_nm: float = 50.0, steer_deg: float = 0.0, rpm: int = 500) -> Ai
     return replace(RUNNING, rear_torque_nm=torque_nm, rear_motor_speed_max_rpm=rpm, steer_deg=steer_deg)
 
 
-class Sender:
+class Sender(SmallCar):
     """Car and AI computer by hand, a cycle every 10 ms; the checker sees what the AI computer sees."""
 
     answer_ns = 0  # how long after the car
@@ -70,14 +70,9 @@ class Sender:
         self.now_ns = 1000 * MS
         self.checker = WireChecker(CODEC, **{**EXACT, **options})
         self.frames: list[Frame] = []
-        self.status = VcuStatus(as_state=OFF, ami=Ami.TRACKDRIVE, as_switch=True, ts_switch=True)
-        self.rpm = 0
         self.counts: int | None = None
-        self.torque_max_nm, self.angle_max_deg, self.angle_deg = 195.0, 30.0, 0.0
-        self.wheel_rpm: tuple[int, int, int, int] | None = None  # each; None: all as `rpm`
         self.mute: tuple[type, ...] = ()
         self.echo: bool | None = None
-        self.last = AiCommand()
         self.cycles = 0
 
     def puts(self, frame: Frame) -> None:
@@ -92,14 +87,7 @@ class Sender:
     def receives_the_car(self) -> None:
         if VcuStatus not in self.mute:
             self.status = replace(self.status, handshake=not self.status.handshake)
-        self.receives(
-            self.status,
-            VcuDriveFront(torque_max_nm=self.torque_max_nm),
-            VcuDriveRear(torque_max_nm=self.torque_max_nm),
-            VcuSteer(angle_deg=self.angle_deg, angle_max_deg=self.angle_max_deg),
-            VcuBrake(0.0, self.last.front_brake_pct, 0.0, self.last.rear_brake_pct),
-            WheelSpeeds(*(self.wheel_rpm or (self.rpm,) * 4)),
-        )
+        self.receives(*self.images())
         if self.counts is not None:
             self.receives(WheelCounts(self.counts, self.counts, self.counts, self.counts))
 
@@ -119,7 +107,7 @@ class Sender:
         said = CODEC.encode_command(replace(command, handshake=bit), self.now_ns + self.answer_ns)
         for frame in said[:frames]:
             self.puts(frame)
-        self.last, self.cycles = command, self.cycles + 1
+        self.heard, self.cycles = command, self.cycles + 1
 
     def car(self, **says: Any) -> Any:
         self.status = replace(self.status, **says)
@@ -351,7 +339,7 @@ STOPPING, BRAKING, PLANNED = braked(RUNNING, 80.0), braked(ASKING, 80.0), braked
 # Steering that nobody asked for, and a wheel faster than the other three with no torque to spin it.
 ODD: dict[str, dict[str, Any]] = {
     "steering": {"angle_deg": 9.0},
-    "a wheel": {"wheel_rpm": (240, 100, 100, 100)},
+    "a wheel": {"rpm": (240, 100, 100, 100)},
 }
 
 Make = Callable[[], Any]
@@ -562,11 +550,10 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("8", "a lost bus").of(Fed, lambda s: lost(s, torque=False), then.loses_the_bus().cycle(SELECTED)),
     Case("8", "five cycles at the end").of(Fed, lambda s: ended(s, BRAKING, 5), lambda s: ended(s, BRAKING, 6)),
     Case("modes", "manual is granted").of(Fed, then.asks("manual"), then.asks("manual", done=False)),
-    Case("modes", "autonomous where the car may not launch").of(
-        Fed, then.asks("autonomous"), then.driving().asks("manual").asks("autonomous")
-    ),
-    Case("modes", "autonomous where it is that already").of(
-        Fed, then.driving().asks("autonomous"), then.driving().asks("manual").asks("autonomous")
+    Case("modes", "autonomous where the car may not launch, or is that already").of(
+        Fed,
+        then.asks("autonomous").driving().asks("autonomous"),
+        then.driving().asks("manual").asks("autonomous"),
     ),
     Case("modes", "an unknown mode").of(Fed, then.asks("sideways", done=False), then.asks("sideways")),
     Case("modes", "autonomous as it was chosen").of(
@@ -763,7 +750,7 @@ def logged() -> Any:
 def test_a_whole_drive_in_a_log_breaks_no_rule() -> None:
     sender = logged().has(rpm=100).cycle(drive(), 50).cycle(RUNNING, 2).cycle(braked(RUNNING), 10)
     sender.has(rpm=0).cycle(braked(RUNNING), 60).cycle(braked(FINISHED), 5)
-    sender.state(AsState.AS_FINISHED).cycle(braked(FINISHED), 20).state(OFF).has(last=IDLE).cycle(IDLE, 20)
+    sender.state(AsState.AS_FINISHED).cycle(braked(FINISHED), 20).state(OFF).has(heard=IDLE).cycle(IDLE, 20)
     assert judged(sender) == []
     assert judged(sender, since=5000) == [], "what was before the log is not judged"
 

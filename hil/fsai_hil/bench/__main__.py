@@ -32,7 +32,7 @@ def measured() -> list[Ratio]:
     """Measure the speed of everything, with progress. Without ROS 2 the bridge node is left out."""
     ros = all(find_spec(name) for name in ("rclpy", "fsai_msgs", "fsai_nodes"))
     found: list[Ratio] = []
-    for step in (loop.codec_rows, loop.start_rows, *[loop.node_rows] * ros, decode.rows, loop.mission_rows):
+    for step in (loop.codec_rows, *[loop.node_rows] * ros, decode.rows, loop.mission_rows):
         print((step.__doc__ or "").splitlines()[0], flush=True)
         found += step()
     return found

@@ -1,4 +1,4 @@
-"""Logs read to text, values, tables and a verdict, beside cantools, and an MF4 beside asammdf.
+"""Logs read to text, tables and a verdict, beside cantools.
 
 One log has random payloads of every message, the other is as it is recorded: a drive, again and again. What is packed
 by other threads or read by other processes is measured in wall time; each command with its start.
@@ -16,31 +16,26 @@ from pathlib import Path
 
 import numpy as np
 
-from fsai_hil.bench.loop import LEAN, REVISION, cantools_database
+from fsai_hil.bench.loop import REVISION, cantools_database
 from fsai_hil.bench.rows import Ratio, in_turns, timed
 from fsai_vcu.diagnostics.decode.databases import load_databases
-from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, joined
-from fsai_vcu.diagnostics.log.reader import open_log, read_log
-from fsai_vcu.interface.units import S
+from fsai_vcu.diagnostics.log.reader import read_log
 
 FRAMES = 2_000_000
 ROUNDS = 3
 PEER_FRAMES = 50_000  # cantools takes a second for so many
 FRAME_NS = 700_000  # of a full bus
-BY_ASAMMDF = "import sys, asammdf; print(len(asammdf.MDF(sys.argv[1]).get('CAN_DataFrame', 0, raw=True).samples))"
+LEAN = "import sys; sys.modules['asammdf'] = None\n"  # python-can alone: here asammdf would triple a peer's start
 
 
 def rows() -> list[Ratio]:
-    """Read logs to text, values, tables and a verdict."""
+    """Read logs to text, tables and a verdict."""
     found = []
     for kind, made in (("random", random_frames), ("recorded", recorded_frames)):
         with tempfile.TemporaryDirectory() as name:
-            frames = made(Path(name))
-            found += _commands(kind, frames, Path(name))
-            if kind == "random":
-                found += _mf4(frames, Path(name) / "whole.mf4")
+            found += _commands(kind, made(Path(name)), Path(name))
     return found
 
 
@@ -59,21 +54,13 @@ def _commands(kind: str, frames: Frames, folder: Path) -> list[Ratio]:
     decode = ("decode", "--revision", REVISION)
     assert fsai_vcu(*decode, part, out=subprocess.PIPE) == decoded_by_cantools(), f"{kind}: cantools prints other lines"
 
-    def values() -> None:
-        decoder = Decoder(load_databases(revision=REVISION))
-        with open_log(log) as opened:
-            for chunk in opened.chunks():
-                decoder.tables(chunk)
-
     def exported(to: str) -> None:
         with tempfile.TemporaryDirectory(dir=folder) as out:
             fsai_vcu("export", log, "--to", to, "-o", f"{out}/tables")
 
     works: dict[str, Callable[[], object]] = {
         "decode": partial(fsai_vcu, *decode, log),
-        "values": values,
         "check": partial(fsai_vcu, "check", log),
-        "stats": partial(fsai_vcu, "check", "--figures", log),
         # Last those after which the machine goes on writing to the disk for a while.
         "parquet": partial(exported, "parquet"),
         "mcap": partial(exported, "mcap"),
@@ -82,29 +69,6 @@ def _commands(kind: str, frames: Frames, folder: Path) -> list[Ratio]:
     peer = ("cantools decode", wall(decoded_by_cantools, of=len(frames.head(PEER_FRAMES))))
     ours = [(f"{name} {kind}, wall", wall(work, of=len(frames))) for name, work in works.items()]
     return in_turns("us/frame", ROUNDS, peer, *ours)
-
-
-def _mf4(frames: Frames, path: Path) -> list[Ratio]:
-    """Measure an MF4 as python-can writes it read to columns; asammdf alone reads in a process that does no more."""
-    import asammdf
-
-    kinds = {"BusChannel": "u1", "ID": "<u4", "IDE": "u1", "DLC": "u1", "DataLength": "u1", "DataBytes": "(64,)u1"}
-    samples = np.zeros(len(frames), [(f"CAN_DataFrame.{name}", kind) for name, kind in kinds.items()])
-    samples["CAN_DataFrame.ID"] = frames.can_id
-    samples["CAN_DataFrame.DLC"] = samples["CAN_DataFrame.DataLength"] = frames.length
-    samples["CAN_DataFrame.DataBytes"][:, :8] = frames.word.view(np.uint8).reshape(-1, 8)
-    with asammdf.MDF(version="4.10") as mdf:
-        mdf.append(asammdf.Signal(samples, (frames.t_ns - frames.t_ns[0]) / S, name="CAN_DataFrame"))
-        mdf.save(path, compression=2)
-
-    def read() -> int:
-        with open_log(path) as log:
-            return sum(map(len, log.chunks()))
-
-    by_asammdf = partial(subprocess.check_output, [sys.executable, "-c", BY_ASAMMDF, path])
-    assert read() == int(by_asammdf()) == len(frames), "not every frame of the MF4 is read"
-    wall = partial(timed, scale=1e6, of=len(frames), timer=time.perf_counter)
-    return in_turns("us/frame", ROUNDS, ("asammdf", wall(by_asammdf)), ("mf4, wall", wall(read)), cold=1)
 
 
 def random_frames(_: Path) -> Frames:

@@ -1,4 +1,4 @@
-"""The CAN loop beside cantools and python-can: codec, the answer to a 0x520, starting, and whole missions driven."""
+"""The CAN loop beside cantools and python-can: codec, the answer to a 0x520, a node's start, and missions driven."""
 
 from __future__ import annotations
 
@@ -49,21 +49,7 @@ NODE_START_S = 1.0  # of a normal machine, as carpc/scenes.py has it
 NODE_PATIENCE_S = 60.0  # of a loaded machine
 DRIVING = AiCommand(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
 COMMAND = replace(DRIVING, handshake=True, steer_deg=-7.3, rear_torque_nm=81.5)
-LEAN = "import sys; sys.modules['asammdf'] = None\n"  # python-can alone: here asammdf would triple a peer's start
-PEER_START = "import can, cantools"
 PEER_NODE = "import rclpy"
-OUR_START = f"""
-from fsai_vcu.core.bridge import Bridge
-from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.messages import AiCommand
-from fsai_vcu.interface.revisions import revision
-from fsai_vcu.runtime.loop import BridgeLoop
-codec = Codec(revision("{REVISION}"))
-Bridge(codec, codec.revision, CARS["{REVISION}"], BridgeConfig(), None, now_ns=0).cycle(0)
-codec.encode_command(AiCommand())
-"""
 
 
 def cantools_database() -> Database:
@@ -141,17 +127,6 @@ def answering() -> Iterator[tuple[Callable[[], None], Bridge]]:
         yield turn, bridge
 
 
-def start_rows() -> list[Ratio]:
-    """Start a process that could send its first frame now, beside one with the libraries alone."""
-    took = partial(timed, scale=1.0, of=1, timer=_children_s)
-    ours, peer = partial(_python, OUR_START), partial(_python, LEAN + PEER_START)
-    return in_turns("s", STARTS, (PEER_START, took(peer)), ("start to a first frame", took(ours)), cold=1)
-
-
-def _python(code: str) -> None:
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def _children_s() -> float:
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
@@ -182,9 +157,9 @@ def node_rows() -> list[Ratio]:
             finally:
                 node.stop()
 
-        _python(PEER_NODE)
-        peer = timed(partial(_python, PEER_NODE), 1.0, of=1, timer=_children_s)
-        return in_turns("s", STARTS, (PEER_NODE, peer), (NODE_START, started_s))
+        peer = partial(subprocess.run, [sys.executable, "-c", PEER_NODE], check=True)
+        peer()
+        return in_turns("s", STARTS, (PEER_NODE, timed(peer, 1.0, of=1, timer=_children_s)), (NODE_START, started_s))
 
 
 def _processor_s(pid: int) -> float:

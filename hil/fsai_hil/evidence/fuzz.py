@@ -158,7 +158,7 @@ _HAPPENS = (
     _step("confirm", role=("planner", "controller", "bridge", ""), offset=(0, 1, -1, 10**12)),
     _step("ask", what="set_mode", words=("autonomous", "manual", "sideways", "", "ä" * 300)),
     *[_step("ask", what=what, words=("", "x" * 200)) for what in ("emergency_brake", "reset", "deactivate")],
-    _step("now", rpm=(None, 0, 9, 10, 200, 300, 301, 701, 1250)),
+    _step("now", held_rpm=(None, 0, 9, 10, 200, 300, 301, 701, 1250)),
     _step("now", stuck=(True, False), unconfirmed=(True, False)),
     _step(
         "now", period_ns=(10**7, 10**5, 2 * 10**6, 10**7 - 1, 15 * 10**6 - 1, 25 * 10**6, 5 * 10**7 - 1, 5 * 10**7 + 1)

@@ -14,6 +14,7 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.small_car import SmallCar
 from fsai_hil.rules.numbers import CYCLE_NS, MS
 from fsai_hil.simulator.watched_bridge import WatchedBridge
 from fsai_vcu.core.bridge import BridgeConfig
@@ -21,7 +22,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface import messages as m
-from fsai_vcu.interface.enums import Ami, AsState, BrakeStatus, EbsStatus
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.link import Ask, Message, ResetConfirmed
 from fsai_vcu.runtime.turns import Action, Do, Send, Turns
@@ -55,14 +56,14 @@ class RuleBroken(Exception):
     """A rule is broken on the wire."""
 
 
-class Drive:
+class Drive(SmallCar):
     """One process under test, a car of a few lines and the checker between them, at one instant of virtual time."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting, self.codec, self.checker = setting, setting.codec, setting.checker()
         self.now_ns, self.cycles, self.reached = 1_000 * MS, 0, set[str]()
-        self.status = m.VcuStatus(as_switch=True, ts_switch=True, as_state=AsState.AS_OFF, ami=Ami.TRACKDRIVE)
-        self.rpm: int | None = None  # of the wheels; None: what follows from torque and brake
+        self.angle_max_deg = self.codec.revision.steer_limit_deg
+        self.held_rpm: int | None = None  # of the wheels; None: what follows from torque and brake
         self.silent = self.unconfirmed = self.stuck = False  # the controller; the resets; the handshake
         self.period_ns, self.late_ns = CYCLE_NS, 0  # of the car; of the loop
         self.fields: dict[str, Any] = {}  # of the controller's command
@@ -170,18 +171,9 @@ class Drive:
 
     def images(self) -> tuple[m.Image, ...]:
         """Return what the car reports in one of its cycles."""
-        front, rear, steer, brake = self.asked.values()
-        brakes_pct = brake.front_pct, brake.front_pct, brake.rear_pct, brake.rear_pct
+        self.rpm, self.heard = round(self.speed_rpm), m.command_of(self.asked)
         count = int(self.turned * self.setting.car.wheel_pulses_per_rev) % 0x10000
-        return (
-            self.status,
-            m.VcuDriveFront(0.0, front.torque_nm, 195.0),
-            m.VcuDriveRear(0.0, rear.torque_nm, 195.0),
-            m.VcuSteer(steer.steer_deg, min(30.0, self.codec.revision.steer_limit_deg), steer.steer_deg),
-            m.VcuBrake(*brakes_pct, BrakeStatus.READY, EbsStatus.ARMED),
-            m.WheelSpeeds(*[round(self.speed_rpm)] * 4),
-            m.WheelCounts(*[count] * 4),
-        )
+        return (*super().images(), m.WheelCounts(*[count] * 4))
 
     def car_sends(self) -> None:
         """Move the car by one of its cycles, and send the messages that it has not lost."""
@@ -190,7 +182,7 @@ class Drive:
         pushed = self.status.as_state is AsState.AS_DRIVING and max(front.torque_nm, rear.torque_nm) > 0.0
         braked = brake.front_pct > 0.0 or self.status.as_state is AsState.EMERGENCY_BRAKE
         faster_rpm = (1.5 * pushed - 3.0 * braked) * self.period_ns / CYCLE_NS
-        self.speed_rpm = max(0.0, min(800.0, self.speed_rpm + faster_rpm)) if self.rpm is None else self.rpm
+        self.speed_rpm = max(0.0, min(800.0, self.speed_rpm + faster_rpm)) if self.held_rpm is None else self.held_rpm
         self.turned += self.speed_rpm / 60.0 * self.period_ns / 1e9
         for image in self.images():
             frame, (names, bits, until) = self.codec.encode(image), self.spoilt.get(type(image), ((), 0, 0))
