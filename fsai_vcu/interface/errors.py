@@ -26,4 +26,4 @@ def did_you_mean(word: str, names: Iterable[str], few: int = _FEW) -> str:
     close += [each for each in by_folded if folded and folded in each and each not in close][: 3 - len(close)]
     if close:
         return f"; did you mean {' or '.join(by_folded[each] for each in close)}?"
-    return f"; there are: {', '.join(by_folded.values())}" if len(by_folded) <= few else ""
+    return f"; there are: {', '.join(by_folded.values())}" if 0 < len(by_folded) <= few else ""
