@@ -19,6 +19,8 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.support.ui import WebDriverWait
 
 DRIVER, BROWSER = shutil.which("chromedriver"), shutil.which("chromium") or shutil.which("chromium-browser")
+
+
 def _works(driver: str) -> bool:
     """Tell a driver from Ubuntu's, which only says that it comes as a snap."""
     return subprocess.run([driver, "--version"], capture_output=True, check=False).returncode == 0

@@ -38,7 +38,10 @@ from fsai_hil.vcan.native import BIN, BRING_UP, TIMED_OUT, VcanError, end_group
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
-INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian, x86-64; Ubuntu has no such package: its own kernel has vcan, modprobe vcan)"
+INSTALL = (
+    "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian, x86-64; Ubuntu has no such"
+    " package, but vcan in its own kernel: modprobe vcan)"
+)
 
 _MODULES = Path("/usr/lib/uml")  # the folder above modules/VERSION, as the package has it
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
