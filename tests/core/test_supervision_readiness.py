@@ -14,7 +14,7 @@ from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.supervision.config import official_simulator
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import words_of
-from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS, Moment, unmet
+from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS, Moment, seen_met, unmet
 from fsai_vcu.core.supervision.start_conditions import why_not_driving as shown_by_the_bus
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState
 from fsai_vcu.interface.enums import (
@@ -31,7 +31,7 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.messages import AiCommand, Faults, VcuBrake, VcuSteer, VehicleState
+from fsai_vcu.interface.messages import AiCommand, Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
 from fsai_vcu.interface.units import MS, S
 
 # ---------------------------------------------------------------- what the bridge adds
@@ -567,3 +567,12 @@ def test_of_a_status_that_nobody_knows_nothing_else_is_told() -> None:
 def test_a_silent_car_is_told_with_its_last_state_alone(as_state: AsState) -> None:
     words = f"0x520 is missing for 1.50 s: the car is silent (its last AS state was {as_state.label})"
     assert shown(as_state, silent_ns=1500 * MS) == [("vcu_silent", words, False)]
+
+
+def test_what_is_seen_as_met_is_told_apart_from_what_is_not_seen() -> None:
+    status = VcuStatus(as_switch=True, ts_switch=False, ami=Ami.TRACKDRIVE)
+    shown, unseen = seen_met(Moment(VehicleState(status=status), command=None), AsState.AS_READY)
+    assert shown["status.as_switch"] == "AS_SWITCH_STATUS is 1" and shown["status.ami"] == "AMI_STATE is TRACKDRIVE"
+    assert "status.ts_switch" not in shown, "what is seen as not met is neither"
+    assert "ANGLE" in unseen and "DIRECTION_REQUEST" in unseen and "TS_SWITCH_STATUS" not in unseen
+    assert "STATUS_BRK" not in unseen and "GO_SIGNAL" not in {*shown, *unseen}, "hints and other states are left out"
