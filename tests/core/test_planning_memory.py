@@ -89,8 +89,8 @@ def looked_at(false_per_look: float, jump_m: float = 0.0) -> float:
     lane = np.array([[x, y] for x in np.arange(0.0, 40.0, 3.0) for y in (1.5, -1.5)])
     for look in range(40):
         way, aside = 0.4 * look, jump_m * (look == 39)
-        here = lane - (way, 0.0)
-        here = here[(here[:, 0] > 0.6) & (here[:, 0] < 14.0)] + draw.normal(0.0, 0.08, 2)
+        here = lane - (way, 0.0) + draw.normal(0.0, 0.08, lane.shape)
+        here = here[(here[:, 0] > 0.6) & (here[:, 0] < 14.0)]
         far = 14.0 * np.sqrt(draw.random((draw.poisson(false_per_look), 1)))
         angle = math.radians(55.0) * (2.0 * draw.random(far.shape) - 1.0)
         seen = np.vstack((here, np.hstack((far * np.cos(angle), far * np.sin(angle)))))

@@ -406,7 +406,7 @@ class Controller:
         return throttle_for(self._car, wanted, speed), 0.0
 
     def _for_sight(self, here_m: float, speed: float) -> float:
-        """Return the acceleration that stops the car within sight, where that is as much as was planned with; or inf."""
+        """Return the acceleration that stops the car within sight, where that is as much as planned with; or inf."""
         left_m = self._sight_end_m - here_m - speed * self._settings.reaction_s
         needed = (speed**2 - FEEL_ITS_WAY_MPS**2) / (2.0 * max(left_m, 0.1))
         return -needed if needed > self._settings.sight_braking_mps2 else math.inf

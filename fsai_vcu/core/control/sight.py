@@ -18,6 +18,7 @@ from fsai_vcu.core.driving import Plan
 CLEAR, CLEAR_M, CLEAR_APART_M = 0.9, 9.0, 1.5
 CLEAR_OVER_M = 15.0  # of way, on which every look must have done so
 STEADY_M = 4.0  # of way: cones come into sight one by one, and the speed follows the shortest sight among them
+LOOK_S = 0.1  # a look is so old when the next one comes
 UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look must not brake hard
 
 
@@ -42,7 +43,7 @@ class Sight:
     def ceiling(self, braking_mps2: float, reaction_s: float, now_m: float, speed: float, at_m: Floats) -> Floats:
         """(N,) square of the speed that sight allows at places (of the way driven); 0 where the car must be careful.
 
-        With such braking, after such a time, the car stops within the shortest sight lately.
+        With such braking, such a time after the next look has come, the car stops within the shortest sight lately.
         """
         falling: Floats = np.full(len(at_m), math.inf)
         if self._lately[-1][0] - self._unclear_m >= CLEAR_OVER_M:
@@ -53,7 +54,7 @@ class Sight:
             last_m, last_mps = self._driven
             falling = np.maximum(last_mps**2 - 2.0 * UNCLEAR_MPS2 * (at_m - last_m), 0.0)
         sight_m = max(0.0, min(sight_m for _, sight_m in self._lately))
-        late_mps = braking_mps2 * reaction_s
+        late_mps = braking_mps2 * (reaction_s + LOOK_S)
         stops_mps = math.sqrt(late_mps**2 + 2.0 * braking_mps2 * sight_m) - late_mps
         allowed: Floats = np.minimum(falling, stops_mps**2)
         return allowed
