@@ -307,7 +307,7 @@ class Controller:
         allowed = most if known else min(most, settings.careful_mps - HELD_BELOW_MPS)
         lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
         braking = settings.race_braking_mps2 if known else settings.braking_mps2
-        at_m = seen_from_m + line.along_m - here  # of the whole way driven
+        at_m = seen_from_m + line.along_m - here  # along the driven path
         now_m, sight_m = seen_from_m + driven_m, plan.supported_m - car.wheelbase_m
         slowest = profile(self._careful(sure, allowed, now_m, speed, at_m), lateral, braking)
         # The front wheels can stop on what cones bear out.
@@ -328,7 +328,7 @@ class Controller:
         return np.maximum(slowest, faster)
 
     def _careful(self, sure: float, allowed_mps: float, now_m: float, speed: float, at_m: Floats) -> Floats:
-        """(N,) square of the speed allowed at places (of the way driven) on a path that is so sure, from 0 to 1.
+        """(N,) square of the speed allowed at places along the driven path on a path that is so sure, from 0 to 1.
 
         From where doubt began the car slows gently: a single doubtful look, soon outweighed, must not brake.
         """

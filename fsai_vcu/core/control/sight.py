@@ -41,7 +41,7 @@ class Sight:
             lately.popleft()
 
     def ceiling(self, braking_mps2: float, reaction_s: float, now_m: float, speed: float, at_m: Floats) -> Floats:
-        """(N,) square of the speed that sight allows at places (of the way driven); 0 where the car must be careful.
+        """(N,) square of the speed that sight allows at places along the driven path; 0 where the car must be careful.
 
         With such braking, such a time after the next look has come, the car stops within the shortest sight lately.
         """
