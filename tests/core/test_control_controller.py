@@ -17,6 +17,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import FEEL_ITS_WAY_MPS, Controller
 from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.control.sight import CLEAR_OVER_M, LOOK_S
 from fsai_vcu.core.control.speed_profile import speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -32,7 +33,8 @@ CAR = ADS_DV_2026
 RUN = Run(3, Ami.AUTOCROSS, AsState.AS_DRIVING, may_move=True)
 STRAIGHT = np.column_stack((np.arange(0.0, 20.0, 0.5), np.zeros(40)))
 SETTINGS = ControllerSettings()
-ON_AND_ON = ControllerSettings(end_of_path_mps=7.0)
+HELD = ControllerSettings(lap_max_speed_mps=7.0)
+ON_AND_ON = replace(HELD, end_of_path_mps=7.0)
 AT_5_MPS = ControllerSettings(lap_max_speed_mps=5.0, lateral_mps2=6.0, end_of_path_mps=5.0)
 
 
@@ -62,7 +64,8 @@ def path_of(*pieces: tuple[float, float]) -> np.ndarray:
 class Drive:
     """The controller on a simulated car, with a plan every 50 ms that is 50 ms old; looked at every 10 ms.
 
-    noise_m: the paths of successive plans move and bend by so much.
+    noise_m: the paths of successive plans move and bend by so much; more: fields of every plan, or functions that
+    return them of the place (m along the path).
     """
 
     def __init__(
@@ -92,6 +95,7 @@ class Drive:
                 stop = more.get("stop_m", math.inf) - way
                 left = {"stop_distance_m": stop, "finished": stop < 20.0} if math.isfinite(stop) else {}
                 others = {name: value for name, value in more.items() if name != "stop_m"}
+                others |= {name: value(at * 0.05) for name, value in others.items() if callable(value)}
                 plans.append(replace(plan_of(seen, now, **left, **others), mission=run.mission))
             plan = plans[max(len(plans) - 2, 0)]
             if tick % 2 == 0:
@@ -170,8 +174,8 @@ def test_a_car_askew_in_a_bend_gains_no_speed() -> None:
 
 
 def test_near_the_speed_that_is_set_the_throttle_only_holds_it() -> None:
-    assert 0.0 < ask(plan_of(STRAIGHT), speed_mps=SETTINGS.lap_max_speed_mps - 0.1).throttle < 0.15
-    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.lap_max_speed_mps).throttle == 0.0
+    near, at = (ask(plan_of(STRAIGHT), mps, reset_for(RUN, CAR, HELD)) for mps in (HELD.lap_max_speed_mps - 0.1, 7.0))
+    assert 0.0 < near.throttle < 0.15 and at.throttle == 0.0
 
 
 @pytest.mark.parametrize("mission", Ami)
@@ -240,7 +244,7 @@ def test_at_5_mps_the_car_stays_within_5_cm_rms(bend: str) -> None:
 
 def test_at_10_mps_the_car_stays_within_10_cm_rms() -> None:
     path = path_of((45.0, 0.0), (8.0, 0.045), (16.0, -0.045), (8.0, 0.045), (20.0, 0.0))
-    drive = Drive(path, ControllerSettings(lap_max_speed_mps=10.0, end_of_path_mps=10.0), 0.02)
+    drive = Drive(path, ControllerSettings(lap_max_speed_mps=10.0, careful_mps=10.0, end_of_path_mps=10.0), 0.02)
     assert drive.speed_mps[drive.along_m > 43.0].min() > 9.7
     assert drive.rms_m(from_m=43.0) < 0.10
 
@@ -301,8 +305,8 @@ def test_a_bend_ahead_is_braked_for_in_time() -> None:
 def test_on_a_straight_the_speed_is_held_calmly() -> None:
     drive = Drive(path_of((70.0, 0.0)), ON_AND_ON, 0.02)
     there = (drive.along_m > 25.0) & (drive.along_m < 60.0)
-    assert SETTINGS.lap_max_speed_mps - 0.2 < drive.speed_mps[there].min()
-    assert drive.speed_mps[there].max() < SETTINGS.lap_max_speed_mps
+    assert HELD.lap_max_speed_mps - 0.2 < drive.speed_mps[there].min()
+    assert drive.speed_mps[there].max() < HELD.lap_max_speed_mps
     assert not drive.brake.any()
     most = SETTINGS.jerk_mps3 * 0.02 * CAR.rolling_radius_m * (CAR.mass_kg + CAR.rotating_mass_kg) / 195.0
     assert np.abs(np.diff(drive.throttle))[2:].max() < 1.05 * most
@@ -337,6 +341,65 @@ def test_the_shorter_the_path_borne_out_the_slower() -> None:
     assert not brakes(1.0, FEEL_ITS_WAY_MPS) and brakes(1.0, FEEL_ITS_WAY_MPS + 1.0)
 
 
+SEEN_M = 12.5  # of path borne out, as by a sensor that sees 14 m
+
+
+def stopping_mps(supported_m: float) -> float:
+    """Speed from which the front wheels stop on so much path, with the braking planned with."""
+    braking = SETTINGS.sight_braking_mps2
+    late_mps = braking * (SETTINGS.reaction_s + LOOK_S)
+    return math.sqrt(late_mps**2 + 2.0 * braking * (supported_m - CAR.wheelbase_m)) - late_mps
+
+
+def test_a_path_well_borne_out_is_driven_by_sight() -> None:
+    """First with care, then as fast as the car stops on it."""
+    drive = Drive(path_of((80.0, 0.0)), SETTINGS, 0.02, supported_m=SEEN_M)
+    begun, later = drive.along_m < CLEAR_OVER_M, (drive.along_m > 45.0) & (drive.along_m < 60.0)
+    assert drive.speed_mps[begun].max() < SETTINGS.careful_mps
+    assert stopping_mps(SEEN_M) - 0.4 < drive.speed_mps[later].min()
+    assert drive.speed_mps.max() < stopping_mps(SEEN_M) + 0.1
+
+
+def test_where_sight_ends_the_car_stops_within_it() -> None:
+    """From the speed that the sight allows, to the one at which it feels its way."""
+    path = path_of((75.0, 0.0))
+    drive = Drive(path, SETTINGS, ahead_m=75.0, supported_m=lambda at_m: max(0.0, min(SEEN_M, 55.0 - at_m)))
+    on_its_way = drive.along_m < 55.0 - CAR.wheelbase_m
+    assert drive.speed_mps[on_its_way].max() > stopping_mps(SEEN_M) - 0.5
+    assert drive.speed_mps[~on_its_way].max() < FEEL_ITS_WAY_MPS + 0.5
+
+
+def test_cones_that_come_into_sight_one_by_one_do_not_jolt() -> None:
+    """Sight grows by 2.5 m at a time, in which the car drives 2.5 m."""
+    drive = Drive(path_of((90.0, 0.0)), SETTINGS, 0.02, supported_m=lambda at_m: SEEN_M - at_m % 2.5)
+    there = (drive.along_m > 40.0) & (drive.along_m < 68.0)
+    assert not drive.brake[there].any()
+    assert drive.speed_mps[there].min() > stopping_mps(SEEN_M - 2.5) - 0.4 and np.ptp(drive.speed_mps[there]) < 0.5
+
+
+def test_where_looks_get_worse_the_speed_falls_gently() -> None:
+    """To a careful one, also in the corner that follows."""
+    path = path_of((80.0, 0.0), (20.0, 1 / 8.0))
+    drive = Drive(path, SETTINGS, supported_m=SEEN_M, confidence=lambda at_m: 1.0 if at_m < 45.0 else 0.89)
+    before, after = drive.along_m < 45.0, drive.along_m > 65.0
+    assert drive.speed_mps[before].max() > SETTINGS.careful_mps + 1.0
+    assert drive.speed_mps[after].max() < SETTINGS.careful_mps
+    assert np.diff(drive.speed_mps[~after]).min() / 0.01 > -3.5
+    assert drive.speed_mps[drive.along_m > 83.0].max() < math.sqrt(SETTINGS.lateral_mps2 * 8.0) + 0.2
+
+
+def test_a_low_speed_limit_leaves_corners_careful() -> None:
+    """A path borne out well is no reason to corner faster where no more than a careful speed is set."""
+    controllers = [reset_for(RUN, CAR, settings) for settings in (HELD, SETTINGS)]
+    way, throttles = 0.0, []
+    for tick in range(200):
+        now, way = tick * 20 * MS, way + 0.02 * 6.3
+        motion = Motion(now, x_m=way, speed_mps=6.3, distance_m=way)
+        seen = plan_of(arc(8.0), now, supported_m=SEEN_M)
+        throttles.append([ask(seen, 6.3, each, now_ns=now, motion=motion).throttle for each in controllers])
+    assert throttles[-1][0] == 0.0 and throttles[-1][1] > 0.0
+
+
 def test_an_unsure_plan_is_driven_slowly_and_ends_in_a_stop() -> None:
     slow, unsure = 0.5 * SETTINGS.confidence_sure, 0.9 * SETTINGS.confidence_min
     assert ask(plan_of(STRAIGHT, confidence=SETTINGS.confidence_sure), 4.0).throttle > 0.5
@@ -347,7 +410,7 @@ def test_an_unsure_plan_is_driven_slowly_and_ends_in_a_stop() -> None:
 
 @pytest.mark.parametrize("age_ms", (0, 150, 300))
 def test_a_doubtful_look_does_not_brake_but_lasting_doubt_slows(age_ms: int) -> None:
-    controller, speed, way, first = reset_for(RUN), SETTINGS.lap_max_speed_mps - 0.1, 0.0, None
+    controller, speed, way, first = reset_for(RUN), SETTINGS.careful_mps - 0.1, 0.0, None
     plan = plan_of(STRAIGHT)
     for tick in range(350):
         now = tick * 20 * MS
@@ -360,7 +423,7 @@ def test_a_doubtful_look_does_not_brake_but_lasting_doubt_slows(age_ms: int) -> 
         speed += 0.02 * (1.5 * command.throttle - (1.2 + 8.0 * command.brake if command.brake > 0.0 else 0.25))
         way += 0.02 * speed
     assert first is not None and first.throttle < 0.3 and first.brake == 0.0
-    assert speed < 0.6 * SETTINGS.lap_max_speed_mps
+    assert speed < 0.6 * SETTINGS.careful_mps
 
 
 def test_the_car_stops_with_its_nose_where_its_path_ends() -> None:

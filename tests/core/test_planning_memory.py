@@ -83,6 +83,27 @@ def test_false_cones_do_not_gather_before_a_standing_car() -> None:
     assert max(off for _, off in known[20:]) < SETTINGS.same_cone_m
 
 
+def looked_at(false_per_look: float, jump_m: float = 0.0) -> float:
+    """The doubt after 40 looks of a car at 8 m/s between two rows; with the last one its pose jumps aside."""
+    memory, draw = ConeMemory(SETTINGS), np.random.default_rng(4)
+    lane = np.array([[x, y] for x in np.arange(0.0, 40.0, 3.0) for y in (1.5, -1.5)])
+    for look in range(40):
+        way, aside = 0.4 * look, jump_m * (look == 39)
+        here = lane - (way, 0.0) + draw.normal(0.0, 0.08, lane.shape)
+        here = here[(here[:, 0] > 0.6) & (here[:, 0] < 14.0)]
+        far = 14.0 * np.sqrt(draw.random((draw.poisson(false_per_look), 1)))
+        angle = math.radians(55.0) * (2.0 * draw.random(far.shape) - 1.0)
+        seen = np.vstack((here, np.hstack((far * np.cos(angle), far * np.sin(angle)))))
+        memory.add(seen, colors(*[0] * len(seen)), Motion(x_m=way, y_m=aside, distance_m=way))
+    return memory.doubt
+
+
+def test_false_cones_and_a_pose_that_jumps_raise_the_doubt() -> None:
+    assert looked_at(0.0) < 0.25
+    assert looked_at(1.0) > 0.5
+    assert looked_at(0.0, jump_m=0.5) > 0.5
+
+
 def test_two_cones_side_by_side_stay_two() -> None:
     memory = ConeMemory(SETTINGS)
     for _ in range(4):

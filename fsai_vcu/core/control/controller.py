@@ -19,6 +19,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.path_tracking import PathLine, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.control.sight import Sight
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.demo import DemoState, advance_demo
@@ -76,6 +77,8 @@ class Controller:
         self._planned: Plan | None = None  # what line and profile were made of
         self._line: PathLine | None = None
         self._profile: Floats | None = None
+        self._sight = Sight()
+        self._sight_end_m = math.inf  # along the line: before it the front wheels of a car that drives by sight stop
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
         self._steered = deque([(-1.0, 0.0)], STEERED_KEPT)  # when (s) which road angle (rad) was asked for
@@ -285,35 +288,56 @@ class Controller:
 
     def _profile_of(self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float) -> Floats:
         """Square of the speed along the line. The plan is of the place `seen_from_m`, the car `driven_m` further."""
-        settings = self._settings
+        settings, car = self._settings, self._car
         here = line.beside(0.0, 0.0)[0]
         sure = min(1.0, plan.confidence / settings.confidence_sure)
         stops = plan.confidence < settings.confidence_min
         # The nose of a car that stops must not pass the end of the supported path.
-        ahead_m = plan.supported_m - (self._car.nose_ahead_of_rear_axle_m if stops else 0.0)
-        end_m = min(float(line.along_m[-1]), here + ahead_m)
-        allowed = self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS
-        # From where doubt began the car slows gently: a single doubtful look, soon outweighed, must not brake.
-        if sure == 1.0 or self._doubted is None:
-            self._doubted = seen_from_m + driven_m, speed
-        doubted_m, began_mps = self._doubted
-        rolling = began_mps**2 - 2.0 * IN_DOUBT_MPS2 * (seen_from_m + line.along_m - here - doubted_m)
-        ceiling = np.minimum(np.maximum((allowed * max(sure, 0.3)) ** 2, rolling), allowed**2)
+        ahead_m = plan.supported_m - (car.nose_ahead_of_rear_axle_m if stops else 0.0)
+        end = min(float(line.along_m[-1]), here + ahead_m), 0.0 if stops else settings.end_of_path_mps * sure
+        stop_m = None if plan.stop_distance_m is None else here + plan.stop_distance_m
+
+        def profile(ceiling: Floats, lateral: float, braking: float, end: tuple[float, float] = end) -> Floats:
+            rate_1pms = STEER_RATE_SHARE * car.steer_rate_radps / car.wheelbase_m
+            grip_mps2 = lateral, braking, settings.stopping_mps2
+            return speed_profile(line.curvature_1pm, ceiling, end, stop_m, grip_mps2, rate_1pms)
+
         known = plan.mapped or plan.mission in PRESET
+        most = self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS
+        allowed = most if known else min(most, settings.careful_mps - HELD_BELOW_MPS)
         lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
+        braking = settings.race_braking_mps2 if known else settings.braking_mps2
+        at_m = seen_from_m + line.along_m - here  # along the driven path
+        now_m, sight_m = seen_from_m + driven_m, plan.supported_m - car.wheelbase_m
+        slowest = profile(self._careful(sure, allowed, now_m, speed, at_m), lateral, braking)
         # The front wheels can stop on what cones bear out.
-        seen_m = here + plan.supported_m - self._car.wheelbase_m - line.along_m
-        within_sight = np.maximum(2.0 * settings.stopping_mps2 * seen_m, FEEL_ITS_WAY_MPS**2)
-        profile = speed_profile(
-            line.curvature_1pm,
-            ceiling,
-            (end_m, 0.0 if stops else settings.end_of_path_mps * sure),
-            None if plan.stop_distance_m is None else here + plan.stop_distance_m,
-            (lateral, settings.race_braking_mps2 if known else settings.braking_mps2, settings.stopping_mps2),
-            STEER_RATE_SHARE * self._car.steer_rate_radps / self._car.wheelbase_m,
-        )
-        slower: Floats = np.minimum(profile, within_sight)
-        return slower
+        left_m = seen_from_m + sight_m - at_m
+        slowest = np.minimum(slowest, np.maximum(2.0 * settings.stopping_mps2 * left_m, FEEL_ITS_WAY_MPS**2))
+        self._sight_end_m = math.inf
+        if known or allowed == most:
+            self._sight = Sight()
+            return slowest
+        self._sight.look(plan, sight_m, seen_from_m)
+        braking = settings.sight_braking_mps2
+        by_sight = self._sight.ceiling(braking, settings.reaction_s, now_m, speed, at_m)
+        if by_sight.max() <= FEEL_ITS_WAY_MPS**2:
+            return slowest
+        self._sight_end_m = here + sight_m
+        end = end[0], 0.0 if stops else most  # the car can stop before it
+        faster: Floats = profile(np.minimum(by_sight, most**2), settings.sight_lateral_mps2, braking, end)
+        return np.maximum(slowest, faster)
+
+    def _careful(self, sure: float, allowed_mps: float, now_m: float, speed: float, at_m: Floats) -> Floats:
+        """(N,) square of the speed allowed at places along the driven path on a path that is so sure, from 0 to 1.
+
+        From where doubt began the car slows gently: a single doubtful look, soon outweighed, must not brake.
+        """
+        if sure == 1.0 or self._doubted is None:
+            self._doubted = now_m, speed
+        doubted_m, began_mps = self._doubted
+        rolling = began_mps**2 - 2.0 * IN_DOUBT_MPS2 * (at_m - doubted_m)
+        ceiling: Floats = np.minimum(np.maximum((allowed_mps * max(sure, 0.3)) ** 2, rolling), allowed_mps**2)
+        return ceiling
 
     def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
         """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance until then (m).
@@ -367,8 +391,9 @@ class Controller:
         wanted = (aim - later) / settings.preview_s
         # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
-        hardest = settings.braking_max_mps2 * braking_share(speed * speed * curvature / settings.race_lateral_mps2)
-        wanted = min(max(wanted, -hardest), most)
+        most_braking = settings.sight_braking_max_mps2 if self._sight_end_m < math.inf else settings.braking_max_mps2
+        hardest = most_braking * braking_share(speed * speed * curvature / settings.race_lateral_mps2)
+        wanted = min(max(min(wanted, self._for_sight(here_m, speed)), -hardest), most)
         if self._accelerated_ns is not None:
             change = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
             wanted = min(wanted, self._acceleration_mps2 + change)
@@ -379,6 +404,12 @@ class Controller:
         if self._braking and speed > 0.3:
             return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
         return throttle_for(self._car, wanted, speed), 0.0
+
+    def _for_sight(self, here_m: float, speed: float) -> float:
+        """Return the acceleration that stops the car within sight, where that is as much as planned with; or inf."""
+        left_m = self._sight_end_m - here_m - speed * self._settings.reaction_s
+        needed = (speed**2 - FEEL_ITS_WAY_MPS**2) / (2.0 * max(left_m, 0.1))
+        return -needed if needed > self._settings.sight_braking_mps2 else math.inf
 
     def _no_way(self, speed: float, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""

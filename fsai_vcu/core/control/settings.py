@@ -15,15 +15,20 @@ class ControllerSettings(Value, frozen=True):
     """Defaults drive robustly rather than fast. The speed of a mission is the lower of its own and `max_speed_mps`."""
 
     max_speed_mps: Annotated[float, within(0.5, NO_SPEED_LIMIT_MPS)] = NO_SPEED_LIMIT_MPS  # in every mission
-    lap_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 7.0  # autocross, trackdrive
+    lap_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 12.0  # autocross, trackdrive
     race_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 15.0  # of them, where the path follows a map
     skidpad_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 6.0
     acceleration_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 25.0
     # Nor more than the car's own.
     max_steer_rad: Annotated[float, within(0.05, math.radians(30.0))] = math.radians(30.0)
 
-    lateral_mps2: Annotated[float, within(0.5, 15.0)] = 4.5  # in corners
-    braking_mps2: Annotated[float, within(0.5, 8.0)] = 3.0  # planned before corners
+    # Without a map a car is careful until looks have borne out its path well for a while; sight alone limits it then.
+    careful_mps: Annotated[float, within(0.5, 30.0)] = 7.0
+    lateral_mps2: Annotated[float, within(0.5, 15.0)] = 4.5  # in corners, careful …
+    sight_lateral_mps2: Annotated[float, within(0.5, 15.0)] = 7.0  # … and by sight
+    braking_mps2: Annotated[float, within(0.5, 8.0)] = 3.0  # planned before corners, careful …
+    sight_braking_mps2: Annotated[float, within(0.5, 8.0)] = 6.5  # … and by sight: it stops on what cones bear out
+    sight_braking_max_mps2: Annotated[float, within(1.2, 9.0)] = 8.0
     race_lateral_mps2: Annotated[float, within(0.5, 15.0)] = 7.5  # the same where the path follows a map …
     race_braking_mps2: Annotated[float, within(0.5, 8.0)] = 5.0  # … or is known beforehand
     stopping_mps2: Annotated[float, within(0.5, 8.0)] = 4.0  # planned before the stopping place

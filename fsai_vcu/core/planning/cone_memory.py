@@ -6,6 +6,7 @@ no longer find it, when it is far behind, and when it has not been seen for a lo
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,8 @@ GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; o
 CHAIN_GAP_M, CHAIN_COS = 5.0, 0.9
 CHAIN_PASSES = 2  # so many wrong colours one after the other are found
 EXPECTED = 0.5  # the side of a cone in line with a border's end
+NEWEST = 0.1  # share of the newest look in the average of how many cones turn out to be none
+DISPLACED_M = 0.6  # by so much, all cones together, the doubt is that of a cone in each look that turns out to be none
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -84,9 +87,19 @@ class ConeMemory:
         self._cones = np.zeros(0, _CONE)
         self.total = 0  # cones ever believed
         self.view_m, self._view_rad = 0.0, 0.0  # how far, and how far to a side, cones are seen
+        # Cones that lately turned out to be none; how far all known ones stand from their places in the newest look.
+        self._none_per_look, self._displaced_m = 0.0, 0.0
 
     def __len__(self) -> int:
         return len(self._cones)
+
+    @property
+    def doubt(self) -> float:
+        """From 0 to 1: by cones that lately turned out to be none, and by how far known ones have moved together.
+
+        The detector errs, or the odometry.
+        """
+        return min(1.0, max(self._none_per_look, self._displaced_m / DISPLACED_M))
 
     def add(self, xy_m: Floats, color: Ints, motion: Motion) -> None:
         """Take in one observation: vehicle-frame positions and colours, seen from `motion`."""
@@ -95,6 +108,7 @@ class ConeMemory:
         seen = np.zeros(len(cones), dtype=bool)
         before = cones["hits"] >= settings.hits_to_believe
         self.view_m, self._view_rad = VIEW_KEPT * self.view_m, VIEW_KEPT * self._view_rad
+        self._displaced_m = 0.0
         if len(xy_m):
             self.view_m = max(self.view_m, float(np.maximum.reduce(np.hypot(xy_m[:, 0], xy_m[:, 1]))))
             self._view_rad = max(self._view_rad, float(np.maximum.reduce(aside(xy_m))))
@@ -108,8 +122,10 @@ class ConeMemory:
                 known = nearest[same]
                 seen[known] = True
                 cones["hits"][known] += 1
+                off = at[same] - xy[known]
+                self._displaced_m = math.hypot(*off.sum(axis=0)) / max(1, len(known))
                 share = 1.0 / np.minimum(cones["hits"][known], settings.average_over)
-                xy[known] += share[:, None] * (at[same] - xy[known])
+                xy[known] += share[:, None] * off
                 cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
                 cones["votes"][known, color[same]] += 1.0
                 cones["seen_at_m"][known] = motion.distance_m
@@ -128,13 +144,14 @@ class ConeMemory:
             perhaps = (reach < self.view_m) & (angle < self._view_rad)
             misses += ~seen * np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
             self.total += int(np.count_nonzero((hits >= settings.hits_to_believe) & ~before))
+            # Seen once or twice and then missed as often: not a cone.
+            none = (hits < settings.hit_ratio_min * (hits + misses)) | ((hits <= 2.0) & (misses > hits))
+            self._none_per_look += NEWEST * (np.count_nonzero(none) - self._none_per_look)
             keep = (
                 (here[:, 0] > -settings.behind_m)
                 & (reach < 3.0 * settings.range_max_m)
                 & (motion.distance_m - cones["seen_at_m"] < settings.age_m)
-                & (hits >= settings.hit_ratio_min * (hits + misses))
-                # Seen once or twice and then missed as often: not a cone.
-                & ~((hits <= 2.0) & (misses > hits))
+                & ~none
             )
             self._cones = cones if np.count_nonzero(keep) == len(keep) else cones[keep]
 

@@ -6,6 +6,8 @@ One strategy per family of missions: a lane found in the cones around the car (a
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.acceleration_strategy import AccelerationStrategy
@@ -19,6 +21,7 @@ from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
 COURSE_FIELDS = Course.__struct_fields__
+DOUBT_BY_CONES = 0.2  # of confidence at most is lost to cones that are none or displaced: no reason to stop
 
 
 class Planner:
@@ -79,6 +82,7 @@ class Planner:
         xy, color = believable(obs, self._settings)
         self._memory.add(xy, color, there)
         course = self._evidence.judged(self._strategy.plan(self._memory, xy, there), there)
+        course = replace(course, confidence=min(course.confidence, 1.0 - DOUBT_BY_CONES * self._memory.doubt))
         return Plan(
             t_sensor_ns=obs.t_ns,
             run_id=self._run.run_id,

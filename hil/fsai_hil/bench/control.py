@@ -164,6 +164,11 @@ def drive(
     return rms_m, max_m, under_mps, over_mps, *np.quantile(watched.calls_ms, (0.5, 0.99))
 
 
+def held(speed_mps: float, **more: float) -> ControllerSettings:
+    """Return settings with which no more than that is driven, however well the path is borne out."""
+    return ControllerSettings(lap_max_speed_mps=speed_mps, careful_mps=speed_mps, **more)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--path", action="append", help="only this path (slalom, hairpin, eight, chicanes, course)")
     parser.set_defaults(run=run)
@@ -172,11 +177,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> str:
     """Drive every path with both controllers, exact and moving; print what was counted."""
     given = [
-        (f"{name} {v:g} m/s", path, ControllerSettings(lap_max_speed_mps=v, lateral_mps2=6.0, end_of_path_mps=v), begin)
+        (f"{name} {v:g} m/s", path, held(v, lateral_mps2=6.0, end_of_path_mps=v), begin)
         for v, begin in RUN_UP_M.items()
         for name, path in paths(v).items()
     ]
-    given.append(("course", arcs(*COURSE), ControllerSettings(), 10.0))
+    given.append(("course", arcs(*COURSE), held(7.0), 10.0))
     lines = []
     for (name, path_m, settings, from_m), kind, noise_m in product(given, (Watched, Pursuit), (0.0, NOISE_M)):
         if args.path and name.split()[0] not in args.path:

@@ -1,0 +1,60 @@
+"""Driving by sight: where looks bear out the path well for a while, the car is as fast as it can stop within sight.
+
+Sight is the way from the front wheels on that cones bear out. Until then, and soon after looks no longer bear it out so
+well, the car is careful.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import Plan
+
+# A look bears out the path well with such a confidence, so long a supported path, and so little way since the last one.
+CLEAR, CLEAR_M, CLEAR_APART_M = 0.9, 9.0, 1.5
+CLEAR_OVER_M = 15.0  # of way, on which every look must have done so
+STEADY_M = 4.0  # of way: cones come into sight one by one, and the speed follows the shortest sight among them
+LOOK_S = 0.1  # a look is so old when the next one comes
+UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look must not brake hard
+
+
+class Sight:
+    """The looks of a run, and whether the car drives by sight."""
+
+    def __init__(self) -> None:
+        self._lately: deque[tuple[float, float]] = deque()  # how far driven (m), and the sight from there (m)
+        self._unclear_m = 0.0  # how far driven when a look last did not bear out the path well
+        self._driven: tuple[float, float] | None = None  # how far, and how fast, when the car last drove by sight
+
+    def look(self, plan: Plan, sight_m: float, seen_from_m: float) -> None:
+        """Take in the next look, from a place so far driven."""
+        lately = self._lately
+        clear = plan.confidence >= CLEAR and plan.supported_m >= CLEAR_M
+        if not (clear and lately and seen_from_m - lately[-1][0] <= CLEAR_APART_M):
+            self._unclear_m = seen_from_m
+        lately.append((seen_from_m, sight_m))
+        while lately[0][0] < seen_from_m - STEADY_M:
+            lately.popleft()
+
+    def ceiling(self, braking_mps2: float, reaction_s: float, now_m: float, speed: float, at_m: Floats) -> Floats:
+        """(N,) square of the speed that sight allows at places along the driven path; 0 where the car must be careful.
+
+        With such braking, such a time after the next look has come, the car stops within the shortest sight lately.
+        """
+        falling: Floats = np.full(len(at_m), math.inf)
+        if self._lately[-1][0] - self._unclear_m >= CLEAR_OVER_M:
+            self._driven = now_m, speed
+        elif self._driven is None:
+            return np.zeros(len(at_m))
+        else:
+            last_m, last_mps = self._driven
+            falling = np.maximum(last_mps**2 - 2.0 * UNCLEAR_MPS2 * (at_m - last_m), 0.0)
+        sight_m = max(0.0, min(sight_m for _, sight_m in self._lately))
+        late_mps = braking_mps2 * (reaction_s + LOOK_S)
+        stops_mps = math.sqrt(late_mps**2 + 2.0 * braking_mps2 * sight_m) - late_mps
+        allowed: Floats = np.minimum(falling, stops_mps**2)
+        return allowed

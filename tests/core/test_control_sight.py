@@ -1,0 +1,76 @@
+"""Driving by sight: which looks earn it, and what ends it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from fsai_vcu.core.control.sight import CLEAR, CLEAR_APART_M, CLEAR_M, CLEAR_OVER_M, LOOK_S, STEADY_M, Sight
+from fsai_vcu.core.driving import Plan
+from fsai_vcu.core.planning.pose import NO_PATH
+from fsai_vcu.interface.enums import Ami
+
+BRAKING_MPS2, REACTION_S, SPEED_MPS = 6.0, 0.1, 9.0
+SIGHT_M = CLEAR_M + 1.0
+HERE = np.zeros(1)
+Looks = list[tuple[float, float, float]]  # how far driven, confidence, sight
+
+
+def looks(way_m: float, every_m: float = 0.5, confidence: float = 1.0, sight_m: float = SIGHT_M) -> Looks:
+    return [(at_m, confidence, sight_m) for at_m in np.arange(0.0, way_m, every_m).tolist()]
+
+
+def allowed_mps(seen: Looks, ahead_m: float = 0.0) -> float:
+    """The speed allowed after the last look, so far ahead of it; 0 where the car must be careful."""
+    sight = Sight()
+    square = math.nan
+    for at_m, confidence, sight_m in seen:
+        sight.look(Plan(0, 1, Ami.AUTOCROSS, NO_PATH, supported_m=sight_m, confidence=confidence), sight_m, at_m)
+        square = float(sight.ceiling(BRAKING_MPS2, REACTION_S, at_m, SPEED_MPS, HERE + at_m + ahead_m)[0])
+    return math.sqrt(square)
+
+
+def test_clear_looks_on_enough_way_earn_a_speed_by_sight() -> None:
+    assert allowed_mps(looks(CLEAR_OVER_M - 0.5)) == 0.0
+    assert allowed_mps(looks(CLEAR_OVER_M + 1.0)) > 0.0
+
+
+@pytest.mark.parametrize("sight_m", [SIGHT_M, 2.0 * SIGHT_M])
+def test_the_speed_allowed_stops_within_sight(sight_m: float) -> None:
+    """Braked with what is planned with, after the brakes' delay and the time until the next look."""
+    speed = allowed_mps(looks(30.0, sight_m=sight_m))
+    assert speed * (REACTION_S + LOOK_S) + speed**2 / (2.0 * BRAKING_MPS2) == pytest.approx(sight_m)
+
+
+def test_the_shortest_sight_lately_counts() -> None:
+    seen = looks(30.0, sight_m=2.0 * SIGHT_M)
+    shorter = [(at_m, sure, SIGHT_M if at_m == 20.0 else sight_m) for at_m, sure, sight_m in seen]
+    least, most = allowed_mps(looks(30.0)), allowed_mps(seen)
+    until = {way_m: allowed_mps([look for look in shorter if look[0] <= way_m]) for way_m in (19.5, 20.0, 24.0, 24.5)}
+    assert list(until.values()) == pytest.approx([most, least, least, most])
+    assert STEADY_M == 4.0
+
+
+UNCLEAR: dict[str, Callable[[Looks], Looks]] = {
+    "doubt": lambda seen: [(at_m, CLEAR - 0.01, sight_m) for at_m, _, sight_m in seen],
+    "short sight": lambda seen: [(at_m, sure, CLEAR_M - 0.1) for at_m, sure, _ in seen],
+    "doubt now and then": lambda seen: [(at, CLEAR - 0.01 if at % 14.0 == 0.0 else sure, m) for at, sure, m in seen],
+    "looks far apart": lambda seen: seen[:: round((CLEAR_APART_M + 0.5) / 0.5)],
+}
+
+
+@pytest.mark.parametrize("why", UNCLEAR)
+def test_looks_that_are_not_clear_earn_none(why: str) -> None:
+    assert allowed_mps(UNCLEAR[why](looks(100.0))) == 0.0
+
+
+@pytest.mark.parametrize("why", ["doubt", "short sight"])
+def test_from_an_unclear_look_on_the_allowed_speed_falls(why: str) -> None:
+    """By so little in the first metre that it does not brake hard, and to nothing until it is earned again."""
+    seen = looks(30.0, sight_m=2.0 * SIGHT_M)
+    unclear = UNCLEAR[why]([(30.0, 1.0, 2.0 * SIGHT_M)])
+    assert allowed_mps(seen + unclear, 1.0) == pytest.approx(SPEED_MPS, abs=0.5)
+    assert allowed_mps(seen + unclear, 30.0) == 0.0
