@@ -333,6 +333,8 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
         "65535 rpm is believed": ("wheel speeds", _config(wheel_max_rpm=65535)),
         "a pulse count contradicts no wheel speed": ("", _always(wheel_speeds, "_contradicted", "")),
         "Go off is only reported": ("any car", _reported(Reason.GO_OFF)),
+        "FAULT_STATUS is only reported": ("any car", _reported(Reason.FAULT_STATUS)),
+        "odd steering never asks for the emergency": ("plausibility", _first_step(Reason.STEERING_IMPLAUSIBLE)),
         "odd wheels never ask for the emergency": ("plausibility", _first_step(Reason.WHEEL_IMPLAUSIBLE)),
         "a lost bus and a broken sequence are only reported": ("trouble", _reported(Reason.BUS_LOST, Reason.NOT_SEEN)),
         "resets that nobody confirmed are no matter": (
