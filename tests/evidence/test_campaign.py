@@ -101,7 +101,7 @@ SEEDED: dict[str, tuple[str, Patches]] = {
     "no reaction": ("speeds_lost:duration=1500", _seed("lost wheel speeds are only reported")),
     "no ESTOP_REQUEST": (
         "intruder:message=0x510,frames=20,period=1,payload=zeros",
-        _seed("an intruder is only reported"),
+        _seed("intruder is only reported"),
     ),
     "torque stays": (
         "status_undefined_as_state:duration=80,state=9",

@@ -271,7 +271,7 @@ _QUICK = (
     "the fifth frame has an id that is not ours",
     "the echo follows believed frames only",
     "autonomous at power-up while wheels turn",
-    "an AS switch that falls is only reported",
+    "as_switch_off is only reported",
     "AS_READY without the holding brake",
 )
 _LONG = {"interval", "10", "safe end"}  # the times of sends are not searched, the others take long
@@ -316,9 +316,10 @@ def test_each_braking_reaction_has_a_seed_that_weakens_it(reason: Reason) -> Non
     """A reaction that no scope brings about is searched nowhere, and nobody sees it."""
     assert weakened(reason) is not (reason in NOT_SEEDED), (
         f"no seeded fault weakens the reaction to {reason.name}, so nothing shows that the search brings it about: in "
-        "hil/fsai_hil/evidence/, let environment.py (or searched.py: EVENTS) bring it about, make that free in a scope "
-        "of scopes.py, and add to seeded.py '... is only reported'; `python -m fsai_hil.evidence --only-seeded` must "
-        "find it. If the search cannot bring it about, say why in NOT_SEEDED of tests/evidence/test_search.py"
+        "hil/fsai_hil/evidence/, let environment.py (an event: EVENTS of searched.py) bring it about, and name it in "
+        "`reactions` of the scope of scopes.py where that is free; what is not just reported, seeded.py weakens. "
+        "`python -m fsai_hil.evidence --only-seeded` must find it. If the search cannot bring it about, say why in "
+        "NOT_SEEDED of tests/evidence/test_search.py"
     )
 
 
