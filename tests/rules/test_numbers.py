@@ -24,8 +24,8 @@ NAMES = {
     "wheel_jump_ns": ("SPEED_JUMP_NS",),
 }
 NOT_OF_THE_RULES = {
-    "stop_window_ns": "a stop without effect is due by stop_timeout_ns; that it may be found sooner is the core's own",
-    "slip_memory_ns": "_SLIP_NS of hil/fsai_hil/rules/plausible.py is longer: what is certain, a longer memory does not explain",
+    "stop_window_ns": "a stop without effect is due by stop_timeout_ns; the core may find it sooner",
+    "slip_memory_ns": "what is certain is not explained by the longer memory of hil/fsai_hil/rules/plausible.py either",
 }
 
 
