@@ -76,7 +76,7 @@ fuzz: setup-for-tests  ## strange frames, commands and calls for minutes; then e
 
 campaign: setup-for-tests  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
-	$(BIN)/fsai-vcu campaign --resume
+	$(BIN)/fsai-vcu campaign --resume -o docs/evidence/faults.md
 
 explanations: setup  ## logs of faults of every kind, and of other cars and AI computers; is what was wrong named?
 	$(BIN)/python -m fsai_hil.evidence.explanations -o docs/evidence/explanations.md

@@ -294,7 +294,13 @@ _TO_DO: Final = {
 
 
 def guards() -> str:
-    rows = ((f"`{one.slug}`", one.words, _TO_DO[one]) for one in Reason if one.slug not in CAUSES)
+    hidden = [one for one in Reason if one.slug not in CAUSES]
+    for one in hidden:
+        assert one in _TO_DO, (
+            f"nothing says what to do about {one.slug}: if a log of the bus shows it, a row in REMEDIES of "
+            "fsai_vcu/diagnostics/remedies.py; if none does, a row in _TO_DO of docs/pages.py"
+        )
+    rows = ((f"`{one.slug}`", one.words, _TO_DO[one]) for one in hidden)
     return _table(("reason", "what it says", "what to do"), rows)
 
 

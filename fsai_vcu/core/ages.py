@@ -1,7 +1,8 @@
-"""Declarations by which the exhaustive search knows each field of the bridge's state; they stand in its `Annotated`.
+"""Declarations by which the exhaustive search knows each field of a state; they stand in its `Annotated`.
 
-A field without one is searched as it is, and a value within it field by field. A time, whose name ends in `_ns`, must
-have one: a search that told every age apart would never end.
+The state of the bridge has them, and the memory of the checker of the rules. A field without one is searched as it is,
+and a value within it field by field. A time, whose name ends in `_ns`, must have one: a search that told every age
+apart would never end.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ from typing import Any, Final
 
 
 class Ages:
-    """Ages at which a time matters, by their names in `BridgeConfig`: T - 1 ns and T are told apart, no age between."""
+    """Ages at which a time matters, in ns or by names of `BridgeConfig`: T - 1 ns and T are told apart."""
 
-    def __init__(self, *at: str | int, gap: tuple[str, ...] = ()) -> None:
-        """`at`: names, sums of them with " + ", or ns; `gap`: names of those that are noticed when a frame comes."""
+    def __init__(self, *at: str | int, gap: tuple[str | int, ...] = ()) -> None:
+        """`at`: names, sums of them with " + ", or ns; `gap`: those that are noticed when a frame comes."""
         self.at: Final = at
         self.gap: Final = gap
 

@@ -133,7 +133,10 @@ def test_every_braking_reason_of_the_supervisor_has_its_words() -> None:
     inside = {Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED}
     told = {Reason.GO_OFF, Reason.NO_MISSION}  # of Go the car says more, of a missing mission the way to AS_READY
     for reason in graver - inside - told:
-        assert reason.slug in CAUSES, f"{reason} is neither explained nor known to leave no trace on the bus"
+        assert reason.slug in CAUSES, (
+            f"{reason} has no row in REMEDIES of fsai_vcu/diagnostics/remedies.py, and is not named here among those "
+            "that leave no trace on the bus"
+        )
         assert CAUSES[reason.slug].words == reason.words
 
 

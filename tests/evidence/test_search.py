@@ -22,7 +22,8 @@ from fsai_hil.rules.numbers import CYCLE_NS
 from fsai_hil.rules.seen import Violation
 from fsai_vcu.core.ages import Ages, NotSearched, Within
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
-from fsai_vcu.core.supervision.supervisor import Asked, Latch, SupervisorState
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import REACTIONS, Asked, Consequence, Latch, Step, SupervisorState
 from fsai_vcu.interface.values import Value
 
 
@@ -179,8 +180,14 @@ def test_each_time_of_the_configuration_is_an_age_in_the_state() -> None:
         name for ages in Clocks(BridgeState).ages for at in (*ages.at, *ages.gap) for name in str(at).split(" + ")
     }
     configured = {name for name in BridgeConfig.__struct_fields__ if name.endswith("_ns")}
-    assert declared <= configured
-    assert configured - declared == set(NO_AGES)
+    unknown, missing = declared - configured, configured - declared - NO_AGES.keys()
+    assert not unknown, f"{unknown}: no time of fsai_vcu/core/supervision/config.py has the name that an Ages(...) has"
+    assert not missing, (
+        f"{missing}: no time of the bridge's state has that age: what is compared with it says so, Annotated[..., "
+        "Ages(...)], in SupervisorState of fsai_vcu/core/supervision/supervisor.py, or in the other parts of "
+        "BridgeState; if there is none, say why in NO_AGES of tests/evidence/test_search.py"
+    )
+    assert not declared & NO_AGES.keys()
 
 
 def test_every_scope_that_can_send_has_endings() -> None:
@@ -264,7 +271,7 @@ _QUICK = (
     "the fifth frame has an id that is not ours",
     "the echo follows believed frames only",
     "autonomous at power-up while wheels turn",
-    "an AS switch that falls is only reported",
+    "as_switch_off is only reported",
     "AS_READY without the holding brake",
 )
 _LONG = {"interval", "10", "safe end"}  # the times of sends are not searched, the others take long
@@ -284,6 +291,36 @@ def test_every_rule_has_a_seed_and_every_seed_an_existing_scope() -> None:
     assert {seed.rule for seed in SEEDS if seed.name in _QUICK} == set(RULES) - _LONG
     assert {seed.scope for seed in SEEDS if seed.scope} <= {one.name for one in SCOPES}
     assert len({seed.name for seed in SEEDS}) == len(SEEDS)
+
+
+NOT_SEEDED = {
+    Reason.STACK_RESTARTED: "the searched planner and controller confirm once in a run: planner_restarted and "
+    "controller_restarted of the campaign",
+}
+
+
+def weakened(reason: Reason) -> bool:
+    """True: a seed leaves less of the reaction, and `make verify` fails if the search does not find that."""
+
+    def gravest(steps: Iterable[Step]) -> int:
+        return max((step.consequence for step in steps), default=0)
+
+    tables = [rows for seed in SEEDS if seed.scope for _, name, rows in seed.patches if name == "REACTIONS"]
+    return any(gravest(cast(Any, rows)[reason]) < gravest(REACTIONS[reason]) for rows in tables)
+
+
+@pytest.mark.parametrize(
+    "reason", [one for one, steps in REACTIONS.items() if any(s.consequence >= Consequence.STOP for s in steps)]
+)
+def test_each_braking_reaction_has_a_seed_that_weakens_it(reason: Reason) -> None:
+    """A reaction that no scope brings about is searched nowhere, and nobody sees it."""
+    assert weakened(reason) is not (reason in NOT_SEEDED), (
+        f"no seeded fault weakens the reaction to {reason.name}, so nothing shows that the search brings it about: in "
+        "hil/fsai_hil/evidence/, let environment.py (an event: EVENTS of searched.py) bring it about, and name it in "
+        "`reactions` of the scope of scopes.py where that is free; what is not just reported, seeded.py weakens. "
+        "`python -m fsai_hil.evidence --only-seeded` must find it. If the search cannot bring it about, say why in "
+        "NOT_SEEDED of tests/evidence/test_search.py"
+    )
 
 
 # ---------------------------------------------------------------- the command

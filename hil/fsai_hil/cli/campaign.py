@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
     add("--list", action="store_true", help="list the kinds of fault")
     add("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")
-    add("-o", "--output", type=Path, metavar="FILE.md", help="where --table goes (default: the terminal)")
+    add("-o", "--output", type=Path, metavar="FILE.md", help="write the table there")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
             print("\n".join(catalogue_lines()))
             return 0
         if args.table:
-            return _table(args.table, args.output)
+            _table(args.table, args.output)
+            return 0
         return _campaign(args)
     except ValueError as error:
         raise UserError(str(error)) from error
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(text) from error
 
 
-def _table(record: Path, output: Path | None) -> int:
+def _table(record: Path, output: Path | None) -> None:
     header, runs = read(record, KIND)
     text = markdown(header, runs)
     if output is None:
@@ -71,11 +72,10 @@ def _table(record: Path, output: Path | None) -> int:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(text, encoding="utf-8")
         print(f"saved {output}: {len(runs)} runs, {len(failures(runs))} worse than the rules allow")
-    return 0
 
 
 def _campaign(args: argparse.Namespace) -> int:
-    """Do the runs that the record lacks, then print and write its table; return the exit status."""
+    """Do the runs that the record lacks, then write its table; return the exit status."""
     plan = _plan(args)
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
@@ -103,7 +103,10 @@ def _campaign(args: argparse.Namespace) -> int:
             rate = new / max(1e-9, time.monotonic() - began_s)
             print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
         print(f"{len(record.results)} runs of {len(plan.kinds())} kinds, record in {record.path}")
-        print(f"table: fsai-vcu campaign --table {record.path}")
+        if args.output:
+            _table(record.path, args.output)
+        else:
+            print(f"table: fsai-vcu campaign --table {record.path}")
         if failures(record.results):
             print(f"{len(failures(record.results))} worse than the rules allow")
             return 1

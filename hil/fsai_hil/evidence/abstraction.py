@@ -7,16 +7,16 @@ alike from now on and in which nothing is left that nobody looks at any more, be
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType, UnionType
-from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import FieldInfo, fields, replace
 
+from fsai_hil.rules.declared import declared, edges_ns
 from fsai_hil.rules.numbers import CYCLE_NS, S
-from fsai_vcu.core.ages import Ages, NoAge, NotSearched, Within
+from fsai_vcu.core.ages import Ages, NotSearched, Within
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.gate import GateState
@@ -49,28 +49,17 @@ class Clocks:
         self._apart: dict[str, Any] = {}  # what stands for a time, and in a field that is not searched
         self.ages: list[Ages] = []  # of all times, in the order in which they are taken out
         parts: list[tuple[str, Clocks]] = []
-        hints = get_type_hints(made, include_extras=True)
+        notes, hints = declared(made, given), get_type_hints(made)
         for spec in fields(made):
-            name, hint = spec.name, hints[spec.name]
-            bare, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-            own = [note for note in notes if isinstance(note, (Ages, NoAge, NotSearched, Within))]
-            note = given.get(name) or (own[0] if own else None)
-            kind = _kind_in(bare)
+            name, note = spec.name, notes[spec.name]
             if isinstance(note, NotSearched):
                 self._apart[name] = _default(spec)
             elif isinstance(note, Ages):
                 self._apart[name] = None if spec.default is None else FRESH
                 self._times.append(name)
                 self.ages.append(note)
-            elif kind:
+            elif kind := _kind_in(hints[name]):
                 parts.append((name, Clocks(kind, note.fields if isinstance(note, Within) else {})))
-            elif note is None and name.endswith("_ns"):
-                raise ValueError(
-                    f"{inspect.getsourcefile(made)}: {made.__name__}.{name} is a time and does not say at which ages "
-                    "it matters: declare it Annotated[..., Ages(...)], see fsai_vcu/core/ages.py"
-                )
-        if unknown := given.keys() - hints.keys():
-            raise ValueError(f"{made.__name__} has no {', '.join(sorted(unknown))}")
         self._parts = [(name, inner) for name, inner in parts if inner._apart or inner._parts]
         self.ages += (ages for _, inner in self._parts for ages in inner.ages)
         self._never = [NEVER] * len(self.ages)
@@ -286,11 +275,5 @@ class Abstraction:
 
 
 def edges_of(clocks: Clocks, config: BridgeConfig) -> tuple[tuple[int, ...], ...]:
-    """The ages in ns at which each time matters. A gap that is seen when a frame comes matters a cycle earlier too."""
-
-    def ns(age: str | int) -> int:
-        return age if isinstance(age, int) else sum(getattr(config, name) for name in age.split(" + "))
-
-    return tuple(
-        (*map(ns, ages.at), *map(ns, ages.gap), *(ns(gap) - CYCLE_NS for gap in ages.gap)) for ages in clocks.ages
-    )
+    """The ages in ns at which each time matters."""
+    return tuple(edges_ns(ages, config) for ages in clocks.ages)

@@ -24,6 +24,7 @@ from fsai_hil.evidence.edited_logs import EDITS, Edit, Told, told_at
 from fsai_hil.evidence.work import digest, followed, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind
+from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.frames import Frame
@@ -65,8 +66,6 @@ VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
 }
 # What a car does beside, whatever the fault was: one that is held still stands, and what is measured wrong is not asked
 TRUE_ANYWAY: Final = (IncidentKind.MISMATCH, IncidentKind.STAND)
-# Why it stops a drive does not show on the bus.
-HIDDEN: Final = frozenset({Reason.COMMAND_STALE, Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED})
 # To those who see the frames only, these look alike.
 ALIKE: Final[Mapping[Reason, frozenset[str]]] = {
     Reason.LOOP_FAULT: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent"}),
@@ -161,7 +160,7 @@ def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset
 def _asked(words: str, unseen: frozenset[str] = SILENT_STOP) -> frozenset[str]:
     """The causes that are right where the bridge stopped the car for this reason; `unseen`: where no frame shows it."""
     reason = next((reason for reason in Reason if words.startswith(reason.words)), None)
-    if reason is None or reason in HIDDEN:
+    if reason is None or reason is Reason.COMMAND_STALE or reason.slug not in CAUSES:  # no frame shows that
         return unseen
     return ALIKE.get(reason, frozenset({reason.slug}))
 

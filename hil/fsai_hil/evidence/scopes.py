@@ -21,6 +21,8 @@ from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import official_simulator
 from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import CHANGES
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
@@ -109,6 +111,8 @@ class Scope(Value, frozen=True):
 
     Its choices are the path and the endings, `everywhere`, and, in AS_DRIVING from the last ns of the 3 s of standing
     still on, `driving`. While the first 200 ms are listened to, path and endings only; all where there is no path.
+
+    It brings about `reactions`: that one of them is only reported is a mistake of `seeded.py`, to be found here.
     """
 
     name: str
@@ -118,6 +122,7 @@ class Scope(Value, frozen=True):
     path: tuple[Choice, ...] = PATH
     endings: tuple[Ending, ...] = (STANDS, MOVES)
     setting: Setting = field(default_factory=Setting)
+    reactions: tuple[Reason, ...] = ()
 
 
 _CONFIG: Final = Setting().config
@@ -151,6 +156,7 @@ SCOPES: Final = (
             *_over(GO, command=["none", "drive", "coast", "brake", "both", "finished", "estop"]),
             *_over(GO, command=["none", "drive", "brake"], rpm=[ROLLING]),
         ),
+        reactions=(Reason.BOTH_PEDALS,),
     ),
     Scope(
         "messages",
@@ -180,6 +186,7 @@ SCOPES: Final = (
         _over(GO, event=HAPPENINGS),
         _over(_DRIVES, event=[None, *HAPPENINGS]),
         setting=Setting(config=replace(_CONFIG, stop_cycles=2)),
+        reactions=(Reason.INTRUDER,),
     ),
     Scope(
         "restarts",
@@ -206,6 +213,7 @@ SCOPES: Final = (
         ),
         path=(),
         endings=_INSISTING,
+        reactions=(Reason.GO_OFF, Reason.FAULT_STATUS),
     ),
     Scope(
         "beginnings",
@@ -229,6 +237,7 @@ SCOPES: Final = (
             replace(GO, marks=_EACH_MARK[0]),
             *_over(_DRIVES, ami=[Ami.ACCELERATION, Ami.NOT_SELECTED]),
         ),
+        reactions=CHANGES,
     ),
     Scope(
         "wheel speeds",

@@ -18,7 +18,7 @@ from unittest.mock import patch
 from msgspec.structs import astuple, replace
 
 from fsai_hil.evidence.model import Composition
-from fsai_hil.evidence.scopes import scope
+from fsai_hil.evidence.scopes import SCOPES, scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.evidence.searched import Setting
 from fsai_hil.rules.numbers import MS
@@ -309,18 +309,9 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
             _reactions({Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.REPORT),)}),
         ),
         "lost steering feedback never asks for the emergency": ("messages", _first_step(Reason.STEERING_STALE)),
-        "both pedals are only reported": ("commands", _reported(Reason.BOTH_PEDALS)),
-        "an intruder is only reported": ("trouble", _reported(Reason.INTRUDER)),
         "a fault of the loop only stops": ("trouble", _reactions({Reason.LOOP_FAULT: (Step(None, Consequence.STOP),)})),
         "a stale command asks for the emergency at once": ("commands", _reactions({Reason.COMMAND_STALE: _AT_ONCE})),
         "a lost command is only held": ("commands", _first_step(Reason.COMMAND_STALE)),
-        "an AS switch that falls is only reported": ("marks", _reported(Reason.AS_SWITCH_OFF)),
-        "a TS switch that falls is only reported": ("marks", _reported(Reason.TS_SWITCH_OFF)),
-        "SHUTDOWN_REQUEST that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_REQUESTED)),
-        "a fault bit that rises is only reported": ("marks", _reported(Reason.FAULT_BIT)),
-        "a SHUTDOWN_CAUSE that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_CAUSE)),
-        "a state that becomes FAULT is only reported": ("marks", _reported(Reason.STATE_FAULT)),
-        "an AMI_STATE that changes is only reported": ("marks", _reported(Reason.AMI_CHANGED)),
         "commands on old data are held for ever": (
             "commands",
             _given(supervisor, "_command_age_ns", state=lambda a: replace(a.state, command_stale_since_ns=None)),
@@ -332,7 +323,7 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
         "a jump that stays is believed at once": ("wheel speeds", _config(wheel_jump_ns=20 * MS)),
         "65535 rpm is believed": ("wheel speeds", _config(wheel_max_rpm=65535)),
         "a pulse count contradicts no wheel speed": ("", _always(wheel_speeds, "_contradicted", "")),
-        "Go off is only reported": ("any car", _reported(Reason.GO_OFF)),
+        "odd steering never asks for the emergency": ("plausibility", _first_step(Reason.STEERING_IMPLAUSIBLE)),
         "odd wheels never ask for the emergency": ("plausibility", _first_step(Reason.WHEEL_IMPLAUSIBLE)),
         "a lost bus and a broken sequence are only reported": ("trouble", _reported(Reason.BUS_LOST, Reason.NOT_SEEN)),
         "resets that nobody confirmed are no matter": (
@@ -390,10 +381,17 @@ _MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
 }
 """The mistakes of each rule, by name: the scope in which the mistake breaks it, and how it is made."""
 
-SEEDS: Final = tuple(
-    Seed(name, rule, where, patches)
-    for rule, mistakes in _MISTAKES.items()
-    for name, (where, patches) in mistakes.items()
+SEEDS: Final = (
+    *(
+        Seed(name, rule, where, patches)
+        for rule, mistakes in _MISTAKES.items()
+        for name, (where, patches) in mistakes.items()
+    ),
+    *(
+        Seed(f"{reason.slug} is only reported", "reactions", one.name, _reported(reason))
+        for one in SCOPES
+        for reason in one.reactions
+    ),
 )
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
 from fsai_hil.rules import numbers as n
+from fsai_hil.rules.declared import declared, edges_ns
+from fsai_vcu.core.ages import Ages, NotSearched
 from fsai_vcu.interface.enums import Ami, AsState, CarEnum, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
 from fsai_vcu.interface.values import Value
@@ -56,30 +58,34 @@ class Process(Value, frozen=True):
 class Seen(Struct):
     """The memory of the bus and of what people asked, as a value: no part of it is ever changed in place.
 
-    Times are ns; None: never. What the wheels report is in `Wheels`.
+    Times are ns; None: never; each says at which ages it matters to a rule. What the wheels report is in `Wheels`.
     """
 
     # what the car sent
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
-    status_ns: int | None = None
-    any_status_ns: int | None = None  # any 0x520, believed or not
-    known_ns: int | None = None  # since when each 0x520 has been one that is known; None: the last is not
+    status_ns: Annotated[int | None, Ages(n.STATUS_FRESH_NS, n.STATUS_LOST_NS)] = None
+    any_status_ns: Annotated[int | None, Ages(gap=(n.POWER_CYCLE_NS,))] = None  # any 0x520, believed or not
+    # since when each 0x520 has been one that is known; None: the last is not
+    known_ns: Annotated[int | None, Ages(n.AS_STATE_KNOWN_NS)] = None
     silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
     marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
     handshake: bool | None = None
     mission: Ami = Ami.NOT_SELECTED
-    ready_ns: int | None = None  # since when it has been AS_READY
+    ready_ns: Annotated[int | None, Ages(n.READY_SEEN_NS)] = None  # since when it has been AS_READY
     waited: bool = False  # for 5 s before Go
     path: int = 0
-    driving_ns: int | None = None  # None: not driving, or since before the log began
+    # None: not driving, or since before the log began
+    driving_ns: Annotated[
+        int | None, Ages(n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS)
+    ] = None
     angle_max_deg: float | None = None
-    steer_ns: int | None = None
+    steer_ns: Annotated[int | None, Ages(n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS)] = None
     front_max_nm: float | None = None
-    front_ns: int | None = None
+    front_ns: Annotated[int | None, Ages(n.FEEDBACK_STALE_NS)] = None
     rear_max_nm: float | None = None
-    rear_ns: int | None = None
+    rear_ns: Annotated[int | None, Ages(n.FEEDBACK_STALE_NS)] = None
     # what people and the planner asked for
     autonomous: bool = False
     power_up: bool = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
@@ -87,23 +93,27 @@ class Seen(Struct):
     acknowledged: bool = False  # SELECTED went out whole for it
     latched: bool = False  # an emergency: granted, or seen on the wire
     order: Order | None = None  # the newest valid command
-    command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
-    stale_ns: int | None = None  # the first cycle without a fresh command; None: the last one had one
-    pedals_ns: int | None = None  # since when every command has asked for both
+    # of it; data of 500 ms ages like a command of 100 ms
+    command_ns: Annotated[int | None, Ages(n.COMMAND_FRESH_NS, n.COMMAND_LOST_NS)] = None
+    # the first cycle without a fresh command; None: the last one had one
+    stale_ns: Annotated[int | None, Ages(n.COMMAND_LOST_NS)] = None
+    pedals_ns: Annotated[int | None, Ages(n.PEDALS_NS)] = None  # since when every command has asked for both
     # what went wrong
     alarm: str | None = None  # why an emergency is due in this run
     stopped: str | None = None  # why torque is over in this run
-    stopped_ns: int = 0
-    steer_odd_ns: int | None = None
-    wheel_odd_ns: int | None = None
+    stopped_ns: Annotated[int, NotSearched("it is of a log, or where stops may be hidden")] = 0
+    steer_odd_ns: Annotated[int | None, Ages(n.ODD_NS, n.ODD_LOST_NS)] = None
+    wheel_odd_ns: Annotated[int | None, Ages(n.ODD_NS, n.ODD_LOST_NS)] = None
     restarted: bool = True  # the process is new and has not seen AS_OFF yet
     bus_gone: bool = False
     reopening: bool = False  # the bus is back, and the car has not been received on it
-    back_ns: int | None = None  # what could not be received before then is not missing
+    # what could not be received before then is not missing
+    back_ns: Annotated[int | None, Ages(n.STATUS_LOST_NS, n.FEEDBACK_LOST_NS)] = None
     ended: int | None = None  # cycles sent since the software was asked to stop
     # what went out
-    began_ns: int | None = None  # the first cycle, sent or not
-    complete_ns: int | None = None  # the last cycle that went out whole, or the first that was tried
+    began_ns: Annotated[int | None, Ages(n.LISTEN_FIRST_NS)] = None  # the first cycle, sent or not
+    # the last cycle that went out whole, or the first that was tried
+    complete_ns: Annotated[int | None, Ages(n.SEND_LOST_NS)] = None
     torque_nm: tuple[float, float] = (0.0, 0.0)  # front and rear, as the VCU has last seen them
     brake_pct: tuple[float, float] = (0.0, 0.0)
     braked_pct: float = 0.0  # what this process asked for last
@@ -112,24 +122,23 @@ class Seen(Struct):
     zeros: int = 0  # complete cycles with both at zero; 2 means more
     echoed: bool = False  # and the newest 0x524, after them, says so
     steer_deg: float = 0.0
-    steered_ns: int | None = None
+    steered_ns: Annotated[int | None, Ages()] = None
     whole: bool = True  # the last cycle that was made went out whole
 
 
 class Parts:
-    """The fields of a value apart: its times, and the others."""
+    """The fields of a value apart: its times, by their declarations, and the others."""
 
-    def __init__(self, made: type[Any], times: Collection[str], without: Collection[str] = ()) -> None:
-        """`times`: their names; `without`: of the fields that are left out."""
-        specs = [spec for spec in fields(made) if spec.name not in without]
-        self.others = tuple(spec.name for spec in specs if spec.name not in times)
-        self.others_of = attrgetter(*self.others)
-        self.times = tuple(spec.name for spec in specs if spec.name in times)
-        self.times_of = (
-            attrgetter(*self.times) if len(self.times) > 1 else lambda value: (getattr(value, self.times[0]),)
-        )
-        self._names = (*self.others, *self.times)
-        self._never = [None if spec.default is NODEFAULT else spec.default for spec in specs if spec.name in times]
+    def __init__(self, made: type[Any]) -> None:
+        """Raises ValueError, which names the file to change, if a time has no declaration."""
+        notes = declared(made)
+        times = {name: note for name, note in notes.items() if isinstance(note, Ages)}
+        others = [name for name, note in notes.items() if not isinstance(note, (Ages, NotSearched))]
+        self.ages = tuple(times.values())
+        self.others_of, self.times_of = attrgetter(*others), attrgetter(*times)
+        self._names = (*others, *times)
+        defaults = {spec.name: None if spec.default is NODEFAULT else spec.default for spec in fields(made)}
+        self._never = [defaults[name] for name in times]
 
     def values(self, others: Sequence[object], times: Iterable[int | None]) -> dict[str, Any]:
         """Everything by its name, the next of the `times` by theirs; one that never was is as before it ever is."""
@@ -137,29 +146,9 @@ class Parts:
         return dict(zip(self._names, (*others, *been), strict=True))
 
 
-# The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
-TIMES: Final[Mapping[str, tuple[int, ...]]] = {
-    "status_ns": (n.STATUS_FRESH_NS, n.STATUS_LOST_NS),
-    "any_status_ns": (n.POWER_CYCLE_NS - n.CYCLE_NS, n.POWER_CYCLE_NS),
-    "known_ns": (n.AS_STATE_KNOWN_NS,),
-    "ready_ns": (n.READY_SEEN_NS,),
-    "driving_ns": (n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS),
-    "steer_ns": (n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS),
-    "front_ns": (n.FEEDBACK_STALE_NS,),
-    "rear_ns": (n.FEEDBACK_STALE_NS,),
-    "command_ns": (n.COMMAND_FRESH_NS, n.COMMAND_LOST_NS),
-    "stale_ns": (n.COMMAND_LOST_NS,),
-    "pedals_ns": (n.PEDALS_NS,),
-    "steer_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
-    "wheel_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
-    "back_ns": (n.STATUS_LOST_NS, n.FEEDBACK_LOST_NS),
-    "began_ns": (n.LISTEN_FIRST_NS,),
-    "complete_ns": (n.SEND_LOST_NS,),
-    "steered_ns": (),
-}
-PARTS: Final = Parts(Seen, TIMES, ("stopped_ns",))  # which is of a log, or where stops may be hidden
+PARTS: Final = Parts(Seen)
 EDGES: Final = (
-    *(TIMES[name] for name in PARTS.times),
+    *map(edges_ns, PARTS.ages),
     (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
     (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
     (n.STILL_NS,),

@@ -53,7 +53,7 @@ def markdown(header: Header, runs: Sequence[RunLine]) -> str:
     lines = [
         "# Fault campaign",
         "",
-        f"Made by `{command}` and `fsai-vcu campaign --table RECORD -o FILE`; do not edit.",
+        f"Made by `{command} -o docs/evidence/faults.md`; do not edit.",
         "",
         f"{len(runs)} runs of the whole AI side against the simulated car in lockstep, seed {header['seed']}:"
         f" {len(short)} of {header['window_ms'] / 1000:g} s from a snapshot in AS_DRIVING,"
