@@ -8,9 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import CLEAR, CLEAR_APART_M, CLEAR_M, CLEAR_OVER_M, LOOK_S, STEADY_M, Sight
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.core.planning.pose import NO_PATH
+from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami
 
 BRAKING_MPS2, REACTION_S, SPEED_MPS = 6.0, 0.1, 9.0
@@ -74,3 +77,9 @@ def test_from_an_unclear_look_on_the_allowed_speed_falls(why: str) -> None:
     unclear = UNCLEAR[why]([(30.0, 1.0, 2.0 * SIGHT_M)])
     assert allowed_mps(seen + unclear, 1.0) == pytest.approx(SPEED_MPS, abs=0.5)
     assert allowed_mps(seen + unclear, 30.0) == 0.0
+
+
+def test_the_lap_that_a_map_is_made_of_is_driven_with_care() -> None:
+    controller, settings = Controller(CARS["2026"]), ControllerSettings()
+    assert controller.max_speed_mps(Ami.TRACKDRIVE) == settings.careful_mps < controller.max_speed_mps(Ami.AUTOCROSS)
+    assert controller.max_speed_mps(Ami.TRACKDRIVE, mapped=True) == settings.race_max_speed_mps

@@ -29,6 +29,7 @@ NEWEST_AGAINST, NEWEST_FOR = 0.2, 0.07
 DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
 FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, S  # above which a lost car that stands drives on, if it lasts
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
+STUCK_M = 0.5  # beside its path in a bend tighter than it can turn, a car only gets further off: it is lost at once
 ASIDE_M = (0.3, 0.8)  # beside its path: from the first on confidence falls, at the second none is left
 BEND_OVER_M = 2.0  # of path, over which the radius of a bend is measured
 BENT_TOLERANCE_M = 0.1  # in which two radii are the same
@@ -92,6 +93,7 @@ class Evidence:
         """`least_radius_m`: of the tightest bend that the car can drive."""
         self._least_radius_m = least_radius_m
         self._too_tight: tuple[float, float] | None = None  # the radius of such a bend on the path, and where driven
+        self._stuck = False  # too far beside its path in such a bend
         self._sure = 1.0
         self._doubted_m = 0.0
         self._why = ""
@@ -102,6 +104,7 @@ class Evidence:
 
     def judged(self, course: Course, motion: Motion) -> Course:
         """The course with the confidence that it deserves; the way to a stop where the car is lost."""
+        self._stuck = False
         share, why = self._followed(course, motion)
         course = replace(course, confidence=share * course.confidence, note="; ".join(filter(None, (why, course.note))))
         last, self._last = self._last, (course, motion)
@@ -114,13 +117,13 @@ class Evidence:
             self._doubted_m = max(0.0, self._doubted_m - 2.0 * driven_m)
         else:
             self._doubted_m += driven_m
-        if course.confidence < FLOOR:
+        if course.confidence < FLOOR or self._stuck:
             self._why = course.note or self._why
         if min(self._sure, course.confidence) >= FLOOR_AGAIN and not self._lost and len(course.path_m):
             self._trusted = course, motion
         if self._lost:
             self._lost = not self._clear(motion)
-        elif self._doubted_m > max(DOUBTED_M, DOUBTED_S * motion.speed_mps):
+        elif self._stuck or self._doubted_m > max(DOUBTED_M, DOUBTED_S * motion.speed_mps):
             self._lost, self._clear_ns = True, None
         return self._kept(course, motion)
 
@@ -145,6 +148,7 @@ class Evidence:
             return 1.0, ""
         note = f"the car is {aside_m:.1f} m beside its path"
         if self._too_tight is not None and motion.distance_m - self._too_tight[1] < BENT_M:
+            self._stuck = aside_m >= STUCK_M
             note += (
                 f" in a bend of {self._too_tight[0]:.1f} m, tighter than the {self._least_radius_m:.1f} m it can turn"
             )
