@@ -146,7 +146,7 @@ deb:  ## a Debian package that needs no network where it is installed, in out/de
 rehearse-deb:  ## install that package in bare chroots of SUITES (debootstrap), drive, upgrade, purge; as root, minutes
 	@scripts/rehearse-deb $(SUITES)
 
-fresh-machine:  ## the two commands, and more, in bare chroots of four distributions, as root; TRIALS="trixie noble/deb ...": these
+fresh-machine:  ## the two commands (on Ubuntu the demo), and more, in bare chroots of four distributions, as root; TRIALS="trixie noble/deb ...": these
 	@scripts/fresh-machine $(TRIALS)
 
 wheel: setup  ## the wheel and the sdist, in dist; fsai-vcu drive works from it: pipx install dist/*.whl

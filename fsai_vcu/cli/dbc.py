@@ -18,8 +18,8 @@ EXAMPLE = "fsai-vcu dbc show 0x520\n  fsai-vcu dbc show ANGLE\n  fsai-vcu dbc di
 ABOUT = """\
 A database is a file that cantools reads, or the name of an interface revision
 (2021 or 2026). list: its messages; show: signals by message name, pattern or
-identifier, or by a signal's name; diff: what differs. Exit status: 0 done (diff: no difference), 1
-a message is not found, or a difference, 2 wrong use."""
+identifier, or by a signal's name; diff: what differs. Exit status: 0 done
+(diff: no difference), 1 a name is not found, or a difference, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

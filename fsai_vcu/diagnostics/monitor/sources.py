@@ -107,10 +107,9 @@ class Live:
     def close(self) -> None:
         """Close the bus; raise what ended it."""
         self._stop = True
+        # It ends when the chunk now being taken is over; a second Ctrl-C changes nothing.
         while not self._receiving.done():
-            with suppress(
-                KeyboardInterrupt
-            ):  # the first Ctrl-C ends it already, when the chunk now being taken is over
+            with suppress(KeyboardInterrupt):
                 wait([self._receiving])
         self._receiving.result()
 
