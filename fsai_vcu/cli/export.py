@@ -17,6 +17,10 @@ EXAMPLE = (
     "fsai-vcu export run.log.gz --format parquet -o run-tables\n"
     "  fsai-vcu export run.log --format csv --wide --raster 20ms -o run.csv"
 )
+ABOUT = """\
+Times: seconds since the log's first frame, as check, explain, report and plot
+count them, in CSV, Parquet and MF4; CSV and Parquet have the time in the log in
+a column of its own. MCAP has the time in the log alone."""
 _DEFAULT_RASTER = "10ms"
 _FORMATS = ("csv", "parquet", "mcap", "mf4")
 _FILES = ("mcap", "mf4")
@@ -66,6 +70,10 @@ def run(args: argparse.Namespace) -> int:
     if args.format is None and ending in _FORMATS and (args.wide or ending in _FILES):
         args.format = ending
     if args.format is None:
+        if ending in _FORMATS:
+            raise WrongUse(
+                f"{args.output}: --wide makes one file of it; --format {ending} a folder, with a file for each message"
+            )
         raise WrongUse(f"--format is missing: {', '.join(_FORMATS)}")
     if args.raster is not None and not args.wide:
         raise WrongUse("--raster goes with --wide")
@@ -94,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
             decoding.decoder,
             args.format,
             args.output,
+            first_ns=sources.first_ns,
             step_ns=step_ns,
             words=args.words,
             progress=progress.writing,
