@@ -56,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="count",
         type=int,
         metavar="COUNT",
-        help="end after so many frames (default for a log on a terminal: 100)",
+        help="end after COUNT frames (default for a log on a terminal: 100)",
     )
-    add("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
+    add("-T", dest="idle_ms", type=float, metavar="MS", help="end after MS milliseconds without a frame (live)")
     add(
         "-L",
         dest="log_format",

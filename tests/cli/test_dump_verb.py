@@ -168,7 +168,7 @@ def test_in_short_lines_0x520_fits_150_columns(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_0x520_of_every_state_and_fault_fits_150_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As the simulated car sends it, beside the time: with everything up, and in an emergency with each fault and what goes with it."""
+    """As the simulated car sends it: with everything up, and in an emergency with each fault and what goes with it."""
     on = {"handshake": True, "as_switch": True, "ts_switch": True, "go_signal": True}
     up = {"op_state": OpState.OP_AUTO, "ts_state": TsState.TS_PRECHARGE, "ebs_state": EbsState.EBS_CHARGING}
     low = {"warning": True, "warn_batt_temp_high": True, "warn_batt_soc_low": True}
