@@ -21,7 +21,8 @@ ABOUT = """\
 Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
 problem was found, or too little is known, or not everything could be read, 2
 wrong use. Of several logs, or a folder of them, each has a line of its own, and
-all of them together one verdict; logs whose clocks differ are several runs."""
+all of them together one verdict; logs whose clocks differ are several runs.
+Times of a log are seconds since its first frame."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

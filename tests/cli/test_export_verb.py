@@ -61,10 +61,11 @@ def test_times_before_the_first_frame_are_below_zero(log: Path) -> None:
     assert [row[:2] for row in rows] == [["0.000000", "5.250000"], ["-0.250000", "5.000000"]]
 
 
-def test_a_csv_file_without_a_format_says_both_ways(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(log), "-o", "run.csv"]) == 2
-    said = capsys.readouterr().err
-    assert "--wide" in said and "--format csv" in said and said.count("\n") == 1
+def test_a_csv_file_is_one_wide_table_without_being_asked(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = log.with_name("run.csv")
+    assert main(["export", str(log), "-o", str(path), "--raster", "20ms"]) == 0
+    assert capsys.readouterr().err == f"1 table, 1 rows (one every 20ms) of 3 frames in {path}\n"
+    assert columns(path)[0][2] == "VCU2AI_Steer.ANGLE [deg]"
 
 
 def test_filters_leave_frames_out_and_other_databases_are_used(log: Path, tmp_path: Path) -> None:

@@ -250,11 +250,11 @@ class _Judge:
         off = min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
         mean_ms = message.mean_ms or expected_ms
         if message.count * mean_ms > _LONG_MS and mean_ms < (1.0 - _PERIOD_TOLERANCE) * expected_ms:
-            text = f"{name} comes at {1000 / mean_ms:.0f} Hz, but should at {1000 / expected_ms:.0f} Hz"
-            text += ": a wrong period, or a second sender"
+            rates = f"{1000 / mean_ms:.0f} Hz instead of {1000 / expected_ms:.0f} Hz"
+            text = f"{name} comes at {rates}: a wrong period, or a second sender"
             yield self._finding(supervised, "period", text, can_id)
         elif message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
-            text = f"{name} comes every {p50_ms:.2f} ms, but should every {expected_ms:g} ms"
+            text = f"{name} comes every {p50_ms:.2f} ms instead of every {expected_ms:g} ms"
             yield self._finding(supervised, "period", text, can_id)
 
     # ------------------------------------------------------------ silence
