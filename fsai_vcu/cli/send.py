@@ -37,6 +37,7 @@ _PERIOD_MS = 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: bus, message, signals, and how often and how carefully it is sent."""
     add = parser.add_argument
     add("bus", nargs="?", metavar="BUS", help=f"{BUS_HELP}; --dry-run needs none")
     add("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
