@@ -19,9 +19,9 @@ EXAMPLE = (
     "  fsai-vcu export run.log -o run.mcap"
 )
 ABOUT = """\
-Times: seconds since the log's first frame, as check, explain, report and plot
-count them, in CSV, Parquet and MF4; CSV and Parquet have the time in the log in
-a column of its own. MCAP has the time in the log alone."""
+Times: CSV and Parquet have the time in the log in the first column and, in the
+second, the seconds since its first frame, as check, explain, report and plot
+count them. MF4 has these alone, MCAP the time in the log."""
 _DEFAULT_RASTER = "10ms"
 _FORMATS = ("csv", "parquet", "mcap", "mf4")
 _FILES = ("mcap", "mf4")

@@ -127,7 +127,7 @@ def test_csv_is_a_file_per_message_with_units_in_the_names(
             head, *rows = csv.reader(file)
         names = [name.partition(" [")[0] for name in head]
         tables[path.stem] = [
-            {"time": round(float(row[1]) * 1e6), **dict(zip(names[2:], map(of_csv, row[2:]), strict=True))}
+            {"time": round(float(row[0]) * 1e6), **dict(zip(names[2:], map(of_csv, row[2:]), strict=True))}
             for row in rows
         ]
         if path.stem == "VCU2AI_Steer":
@@ -229,7 +229,7 @@ def test_the_wide_table_holds_the_last_value_and_its_age(tmp_path: Path, decoder
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert written.rows == 5
-    assert [row["time in log [s]"] for row in rows] == ["1.010000", "1.020000", "1.030000", "1.040000", "1.050000"]
+    assert [row["time [s]"] for row in rows] == ["1.010000", "1.020000", "1.030000", "1.040000", "1.050000"]
     assert [row["VCU2AI_Steer.ANGLE [deg]"] for row in rows] == ["20.0", "20.0", "20.0", "20.0", "30.0"]
     assert [row["VCU2AI_Steer.age [s]"] for row in rows] == ["0.0", "0.01", "0.02", "0.03", "0.009"]
     assert [row["Turns.First [V]"] for row in rows] == ["", "1.0", "1.0", "1.0", "1.0"]
@@ -248,7 +248,7 @@ def test_every_cell_of_the_wide_table_is_the_last_frames_value(
     for name in ("VCU2AI_Steer", "VCU2AI_Status", "Big", "Wide"):
         times = [row["time"] for row in decoded[name]]
         for row in rows:
-            newest = int(np.searchsorted(times, round(float(row["time in log [s]"]) * 1e6), side="right")) - 1
+            newest = int(np.searchsorted(times, round(float(row["time [s]"]) * 1e6), side="right")) - 1
             for key, text in row.items():
                 message, _, signal = key.partition(".")
                 signal = signal.partition(" [")[0]

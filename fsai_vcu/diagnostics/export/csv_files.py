@@ -31,9 +31,9 @@ def csv_files(path_of: Callable[[Table], Path], first_ns: int, *, words: bool) -
             if table.name not in files:
                 files[table.name] = opened.enter_context(path_of(table).open("wb"))
                 signals = (f"{c.name} [{c.unit}]" if c.unit else c.name for c in table.columns)
-                names = (f"{SINCE} [s]", "time in log [s]", *signals)
+                names = ("time [s]", f"{SINCE} [s]", *signals)
                 files[table.name].write((",".join(_quoted(cell(name)) for name in names) + "\n").encode())
-            parts: list[Part] = [_since_text(rows.t_ns, first_ns), b",", time_text(rows.t_ns)]
+            parts: list[Part] = [time_text(rows.t_ns), b",", _since_text(rows.t_ns, first_ns)]
             for column, values in zip(table.columns, rows.values, strict=True):
                 parts += [b",", _texts(column, values, words=words)]
             files[table.name].write(lines_of(parts, len(rows)))

@@ -38,8 +38,8 @@ def parquet_files(path_of: Callable[[Table], Path], first_ns: int, *, words: boo
                 writers[table.name] = opened.enter_context(writer)
             schema = writers[table.name].schema
             columns = zip(table.columns, rows.values, schema.types[2:], strict=True)
-            since = _numbers((rows.t_ns - first_ns) / 1e9, schema.types[0])
-            arrays = [since, _numbers(rows.t_ns, schema.types[1]), *(_array(*column) for column in columns)]
+            since = _numbers((rows.t_ns - first_ns) / 1e9, schema.types[1])
+            arrays = [_numbers(rows.t_ns, schema.types[0]), since, *(_array(*column) for column in columns)]
             pending.append(behind.submit(writers[table.name].write_batch, pa.record_batch(arrays, schema=schema)))
             while len(pending) > _WAITING:
                 pending.popleft().result()
@@ -51,8 +51,8 @@ def parquet_files(path_of: Callable[[Table], Path], first_ns: int, *, words: boo
 
 def _schema(table: Table, *, words: bool) -> Any:
     fields = [
-        pa.field(SINCE, pa.float64(), nullable=False, metadata={"unit": "s"}),
         pa.field("time", pa.timestamp("ns", tz="UTC"), nullable=False),
+        pa.field(SINCE, pa.float64(), nullable=False, metadata={"unit": "s"}),
     ]
     for column in table.columns:
         metadata = {"unit": column.unit} if column.unit else {}
