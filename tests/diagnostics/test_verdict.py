@@ -182,7 +182,7 @@ def test_one_who_repeats_our_frames_all_along_is_a_wrong_rate(drive: Frames) -> 
     again = drive.only(ours)
     findings = judged(in_order(drive, replace(again, t_ns=again.t_ns + 3 * MS))).findings
     (found,) = [finding for finding in findings if finding.severity == "problem"]
-    assert "120 times a second, but should 100 times: a wrong period, or a second sender" in found.words
+    assert "comes at 120 Hz instead of 100 Hz: a wrong period, or a second sender" in found.words
 
 
 @pytest.mark.parametrize(("can_id", "data"), [(0x510, "0500"), (0x511, "f401"), (0x513, "9cff"), (0x514, "6464")])
