@@ -60,6 +60,13 @@ class RaceLine(Value, frozen=True, eq=False):
         left = float(dy[index]) * cos - float(dx[index]) * sin
         return index, left, math.remainder(here.yaw_rad - math.atan2(sin, cos), 2.0 * math.pi)
 
+    def curvature_1pm(self, index: int) -> float:
+        """Curvature at a point, left positive, by the turn from 1 m before it to 1 m behind it."""
+        points, reach = len(self.xy_m), max(1, round(1.0 / self.step_m))
+        there = [(index - reach) % points, (index + reach) % points]
+        (cos, cos_on), (sin, sin_on) = self.cos[there].tolist(), self.sin[there].tolist()
+        return math.atan2(cos * sin_on - sin * cos_on, cos * cos_on + sin * sin_on) / (2.0 * reach * self.step_m)
+
     def path(self, first: int, length_m: float, offsets_m: Floats, here: Motion) -> Floats:
         """(M, 2) the line from point `first` on, in the frame of the car at `here`, its first points so far left."""
         count = min(round(length_m / self.step_m), round(0.7 * len(self.xy_m)))

@@ -136,7 +136,9 @@ class Racing:
             return NO_PATH, "the cones seen do not agree with the map"
         index, left_m, turned_rad = line.beside(here)
         if joined_at is None:
-            self._offsets = _joining(left_m, turned_rad, JOINING_M + JOINING_S * here.speed_mps, line.step_m)
+            length_m = JOINING_M + JOINING_S * here.speed_mps
+            bend_1pm = here.yaw_rate_radps / max(here.speed_mps, 1.0) - line.curvature_1pm(index)
+            self._offsets = joining(left_m, turned_rad, bend_1pm, length_m, line.step_m)
             joined_at, most_m = index, ASIDE_JOINING_M
         else:
             most_m = ASIDE_M
@@ -159,8 +161,13 @@ class Racing:
         return path, ""
 
 
-def _joining(left_m: float, turned_rad: float, length_m: float, step_m: float) -> Floats:
-    """(N,) how far left of the line the path is, from where it leaves the car until it has come onto the line."""
+def joining(left_m: float, turned_rad: float, bend_1pm: float, length_m: float, step_m: float) -> Floats:
+    """(N,) how far left of the line the path is, from where it leaves the car until it has come onto the line.
+
+    It begins beside the line, turned and bent against it as the car is, and ends with none of that: place, direction
+    and curvature have no step.
+    """
     share = np.arange(0.0, 1.0, step_m / length_m)
-    slope_m = length_m * math.tan(turned_rad)
-    return np.asarray((1.0 - share) ** 2 * (left_m * (1.0 + 2.0 * share) + slope_m * share))
+    place = left_m * (1.0 + 3.0 * share + 6.0 * share**2)
+    slope = length_m * math.tan(turned_rad) * share * (1.0 + 3.0 * share)
+    return np.asarray((1.0 - share) ** 3 * (place + slope + 0.5 * bend_1pm * (length_m * share) ** 2))
