@@ -17,7 +17,7 @@ from collections import deque
 from msgspec.structs import replace
 
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.messages import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
@@ -222,6 +222,17 @@ def motion_at(motion: Motion, t_ns: int) -> Motion:
         yaw_rad=motion.yaw_rad + motion.yaw_rate_radps * dt_s,
         distance_m=motion.distance_m + way,
     )
+
+
+def slipped(place: Motion, last: Motion, motion: Motion) -> Motion:
+    """The motion where the car really is: from `place` on, where it was at `last`, as odometry went from there.
+
+    Odometry moves the car to where it points. In a corner the rear axle moves further outward, by its slip angle: at
+    9 m/s and 8 m/s2 that is 0.6 m in each second, by which cones remembered and cones seen would differ.
+    """
+    dx, dy = motion.x_m - last.x_m, motion.y_m - last.y_m
+    outward = SLIP_RADPMPS2 * motion.speed_mps * motion.yaw_rate_radps
+    return replace(motion, x_m=place.x_m + dx + outward * dy, y_m=place.y_m + dy - outward * dx)
 
 
 class MotionHistory:
