@@ -17,7 +17,7 @@ from collections import deque
 from msgspec.structs import replace
 
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.messages import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
@@ -231,8 +231,11 @@ def slipped(place: Motion, last: Motion, motion: Motion) -> Motion:
     9 m/s and 8 m/s2 that is 0.6 m in each second, by which cones remembered and cones seen would differ.
     """
     dx, dy = motion.x_m - last.x_m, motion.y_m - last.y_m
-    outward = SLIP_RADPMPS2 * motion.speed_mps * motion.yaw_rate_radps
-    return replace(motion, x_m=place.x_m + dx + outward * dy, y_m=place.y_m + dy - outward * dx)
+    # A wild reading must not throw the car further than tyres can slip.
+    lateral_mps2 = min(max(motion.speed_mps * motion.yaw_rate_radps, -GRAVITY_MPS2), GRAVITY_MPS2)
+    right_m = SLIP_RADPMPS2 * lateral_mps2 * (motion.distance_m - last.distance_m)
+    yaw = last.yaw_rad + 0.5 * math.remainder(motion.yaw_rad - last.yaw_rad, 2.0 * math.pi)
+    return replace(motion, x_m=place.x_m + dx + right_m * math.sin(yaw), y_m=place.y_m + dy - right_m * math.cos(yaw))
 
 
 class MotionHistory:
