@@ -101,7 +101,7 @@ class Racing:
     def path(self, cones_xy_m: Floats, here: Motion) -> Floats:
         """(M, 2) the way on along the race line, in the vehicle frame; nothing where it cannot be trusted.
 
-        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map.
+        `cones_xy_m`: what was lately seen to stand around the car (vehicle frame): it outranks the map.
         """
         self._look_for_line()
         path, self.note = self._along_line(cones_xy_m, here)
