@@ -68,6 +68,11 @@ class RaceLine(Value, frozen=True, eq=False):
         (cos, cos_on), (sin, sin_on) = self.cos[there].tolist(), self.sin[there].tolist()
         return math.atan2(cos * sin_on - sin * cos_on, cos * cos_on + sin * sin_on) / (2.0 * reach * self.step_m)
 
+    def beyond_m(self, first: int, offsets_m: Floats) -> float:
+        """Return by how much a way so far left of the line from point `first` on leaves the room beside it, at most."""
+        at = np.arange(first, first + len(offsets_m)) % len(self.xy_m)
+        return float(np.maximum(offsets_m - self.left_m[at], -offsets_m - self.right_m[at]).max(initial=0.0))
+
     def path(self, first: int, length_m: float, offsets_m: Floats, here: Motion) -> Floats:
         """(M, 2) the line from point `first` on, in the frame of the car at `here`, its first points so far left."""
         count = min(round(length_m / self.step_m), round(0.7 * len(self.xy_m)))

@@ -27,8 +27,12 @@ GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate …
 LAP_DOUBT = 0.03  # … and else, by a lap's way
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 ON_LINE = "a cone stands on the race line"
+NOT_ON_LINE = "the car is not on the race line"
 STEADY = 10  # observations in a row that allow the line before it is joined
-JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
+JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed …
+JOINING_SHARES = 1.0, 0.75, 0.5  # … or a share of it, so as not to leave the room beside the line in the next corner
+# Cut off at the room's end, a way has a kink: by so much it does not matter, and by more than this it cannot be driven.
+WITHIN_M, BEYOND_M = 0.02, 0.2
 BEHIND_JOINING = 20  # points of the line: so little behind the place where it joined the car is before it
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
 MIDDLE_M = 15.0  # of the lane's middle, ahead of the car
@@ -136,9 +140,9 @@ class Racing:
             return NO_PATH, "the cones seen do not agree with the map"
         index, left_m, turned_rad = line.beside(here)
         if joined_at is None:
-            length_m = JOINING_M + JOINING_S * here.speed_mps
-            bend_1pm = here.yaw_rate_radps / max(here.speed_mps, 1.0) - line.curvature_1pm(index)
-            self._offsets = joining(left_m, turned_rad, bend_1pm, length_m, line.step_m)
+            self._offsets = _way_onto(line, index, left_m, turned_rad, here)
+            if line.beyond_m(index, self._offsets) > BEYOND_M:
+                return NO_PATH, NOT_ON_LINE
             joined_at, most_m = index, ASIDE_JOINING_M
         else:
             most_m = ASIDE_M
@@ -148,7 +152,7 @@ class Racing:
         offsets = self._offsets[driven:]
         aside_m = left_m - float(offsets[0] if len(offsets) and self._joined_at is not None else 0.0)
         if abs(aside_m) > most_m or abs(turned_rad) > TURNED_RAD:
-            return NO_PATH, "the car is not on the race line"
+            return NO_PATH, NOT_ON_LINE
         path = line.path(index, HORIZON_M, offsets, here)
         news = cones_xy_m[line.news(to_odometry(here, cones_xy_m))]
         beside = BESIDE_M - BESIDE_PER_M * np.hypot(news[:, 0], news[:, 1])
@@ -159,6 +163,14 @@ class Racing:
             return NO_PATH, ""
         self._joined_at = joined_at
         return path, ""
+
+
+def _way_onto(line: RaceLine, index: int, left_m: float, turned_rad: float, here: Motion) -> Floats:
+    """(N,) how far left of the line the path is, on the longest way onto it that keeps to the room beside the line."""
+    length_m = JOINING_M + JOINING_S * here.speed_mps
+    bend_1pm = here.yaw_rate_radps / max(here.speed_mps, 1.0) - line.curvature_1pm(index)
+    ways = [joining(left_m, turned_rad, bend_1pm, share * length_m, line.step_m) for share in JOINING_SHARES]
+    return min(ways, key=lambda way: max(WITHIN_M, line.beyond_m(index, way)))
 
 
 def joining(left_m: float, turned_rad: float, bend_1pm: float, length_m: float, step_m: float) -> Floats:
