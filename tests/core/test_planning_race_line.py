@@ -21,7 +21,7 @@ from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
 from fsai_vcu.core.planning.pose import lengths_along, ring_curvature
 from fsai_vcu.core.planning.race_line import MARGIN_M, LineSearch, RaceLine
-from fsai_vcu.core.planning.racing import joining
+from fsai_vcu.core.planning.racing import BEYOND_M, NOT_ON_LINE, joining, way_onto
 
 OVAL, WINDING = small_oval(), random_circuit(1)
 
@@ -102,6 +102,29 @@ def test_a_join_has_no_step_of_curvature(left_m: float, turned_rad: float, bend_
     assert np.abs(np.diff(bend)).max() < 0.001  # a bend of 0.1 1/m that began at once would be a hundred times this
     least = (6.0 * abs(left_m) + 4.0 * length_m * abs(math.tan(turned_rad))) / length_m**2 + abs(bend_1pm)
     assert np.abs(bend).max() < 1.05 * least + 0.001  # no more than a bend that had to begin at once
+
+
+def test_the_way_onto_a_line_keeps_to_the_room_beside_it() -> None:
+    line = race_line(WINDING)
+    cut_m = []  # off a way by the room's end: there it has a kink
+    for at in range(len(line.xy_m)):
+        here = Motion(speed_mps=12.0, yaw_rate_radps=12.0 * line.curvature_1pm(at))
+        for left_m in (-0.15, 0.15):
+            if -line.right_m[at] <= left_m <= line.left_m[at]:
+                cut_m.append(line.beyond_m(at, way_onto(line, at, left_m, 0.0, here)))
+    assert len(cut_m) > 400 and np.mean(np.array(cut_m) > 0.1) < 0.1  # of ways of one length a fifth
+
+
+def test_a_line_without_room_for_the_way_onto_it_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    ride, _ = mapped()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+    racing._joined_at = None  # as by a line laid again …
+    monkeypatch.setattr(RaceLine, "beyond_m", lambda *_: BEYOND_M + 0.01)
+    plan = ride.step()
+    assert not plan.mapped and NOT_ON_LINE in plan.note
+    monkeypatch.undo()
+    assert any(ride.step().mapped for _ in range(30))
 
 
 def test_a_line_tells_its_curvature() -> None:

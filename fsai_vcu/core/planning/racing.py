@@ -140,7 +140,7 @@ class Racing:
             return NO_PATH, "the cones seen do not agree with the map"
         index, left_m, turned_rad = line.beside(here)
         if joined_at is None:
-            self._offsets = _way_onto(line, index, left_m, turned_rad, here)
+            self._offsets = way_onto(line, index, left_m, turned_rad, here)
             if line.beyond_m(index, self._offsets) > BEYOND_M:
                 return NO_PATH, NOT_ON_LINE
             joined_at, most_m = index, ASIDE_JOINING_M
@@ -165,7 +165,7 @@ class Racing:
         return path, ""
 
 
-def _way_onto(line: RaceLine, index: int, left_m: float, turned_rad: float, here: Motion) -> Floats:
+def way_onto(line: RaceLine, index: int, left_m: float, turned_rad: float, here: Motion) -> Floats:
     """(N,) how far left of the line the path is, on the longest way onto it that keeps to the room beside the line."""
     length_m = JOINING_M + JOINING_S * here.speed_mps
     bend_1pm = here.yaw_rate_radps / max(here.speed_mps, 1.0) - line.curvature_1pm(index)
