@@ -21,7 +21,8 @@ ABOUT = """\
 Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
 problem was found, or too little is known, or not everything could be read, 2
 wrong use. Of several logs, or a folder of them, each has a line of its own, and
-all of them together one verdict; logs whose clocks differ are several runs."""
+all of them together one verdict; logs whose clocks differ are several runs.
+Times of a log are seconds since its first frame."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +53,10 @@ def run(args: argparse.Namespace) -> int:
         more = ", …" if len(sources.left_out) > _NAMED else ""
         lines.append(f"no logs, and left out: {', '.join(sources.left_out[:_NAMED])}{more}")
     write_out("".join(f"{line}\n" for line in lines).encode())
-    wrong = [number for number, one in enumerate(found) if not _say(args, one, runs[number].name if found[1:] else "")]
+    log = "" if sources.live or len(sources.names) > 1 else sources.name
+    wrong = [
+        number for number, one in enumerate(found) if not _say(args, one, runs[number].name if found[1:] else "", log)
+    ]
     if found[1:]:
         words = f"NOT OK: {len(wrong)} of {len(found)} runs" if wrong else f"OK: {len(found)} runs"
         whole = {"type": "verdict", "verdict": "not ok" if wrong else "ok", "runs": len(found), "words": words}
@@ -60,15 +64,19 @@ def run(args: argparse.Namespace) -> int:
     return 1 if wrong else 0
 
 
-def _say(args: argparse.Namespace, found: Judged | None, run: str) -> bool:
-    """Print the figures and the verdict of a run; True where it is OK. run: its logs, where there are several runs."""
+def _say(args: argparse.Namespace, found: Judged | None, run: str, log: str) -> bool:
+    """Print the figures and the verdict of a run; True where it is OK.
+
+    run: its logs, where there are several runs. log: its name, where it is the only one.
+    """
     if run and not args.json:
         write_out(f"run {run}\n".encode())
     if found is None:
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return False
     for bus in found.buses:
-        shown = (_as_json if args.json else _for_people)(bus, figures=args.figures)
+        figures = args.figures
+        shown = _as_json(bus, figures=figures) if args.json else _for_people(bus, log, figures=figures)
         write_out(shown.encode())
     verdict = found.verdict
     of_run = {"run": run} if run else {}
@@ -84,25 +92,31 @@ def _as_json(bus: BusStatistics, *, figures: bool) -> str:
     return "".join(json.dumps(entry) + "\n" for entry in (*objects, bus.as_dict()))
 
 
-_HEAD = ("id", "message", "frames", "period", "p50", "jitter p50", "p99", "max", "gaps", "longest", "frozen", "load")
+_COLUMNS = (  # title and unit
+    *(("id", ""), ("message", ""), ("frames", ""), ("period", "ms"), ("median", "ms")),
+    *(("jitter p50", "ms"), ("jitter p99", "ms"), ("jitter max", "ms")),
+    *(("gaps", ""), ("longest gap", "ms"), ("frozen", "ms"), ("load", "")),
+)
 
 
-def _for_people(bus: BusStatistics, *, figures: bool) -> str:
-    """Return the figures of a bus as text for people; `figures`: with a table of its messages."""
+def _for_people(bus: BusStatistics, log: str, *, figures: bool) -> str:
+    """Return the figures of a bus, received or in the log of that name, as text; `figures`: with one row a message."""
+    where, what = (log, f"frames on {bus.channel}") if log else (bus.channel, "frames")
     lines = [
-        f"{bus.channel}: {bus.frames} frames in {bus.duration_s:.3f} s,"
+        f"{where}: {bus.frames} {what} in {bus.duration_s:.3f} s,"
         f" load {bus.load:.1%} of {bus.bitrate // 1000} kbit/s ({bus.peak_load:.1%} in the busiest 100 ms)"
     ]
     if figures:
-        rows = [_HEAD, *(_row(message) for message in bus.messages)]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
+        rows = [*zip(*_COLUMNS, strict=True), *(_row(message) for message in bus.messages)]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]
         for row in rows:
             cells = [
                 cell.ljust(width) if column < 2 else cell.rjust(width)
                 for column, (cell, width) in enumerate(zip(row, widths, strict=True))
             ]
             lines.append("  ".join(cells).rstrip())
-        lines.append("times in ms; frozen: the longest time with one and the same payload")
+        lines.append("period: expected; median: of the intervals received; jitter: how much they miss the period")
+        lines.append("frozen: the longest time with one and the same payload")
         handshake = bus.handshake
         if handshake is not None and handshake.response_ms.p50_ms is not None:
             lines.append(

@@ -26,9 +26,11 @@ _OWN_PARTS = ("link", "supervision", "car", "loop")  # of vcu_bridge in /diagnos
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="watch for so long, from the first message on (60 s)"
+        "--seconds", type=float, default=60.0, metavar="S", help="watch for S seconds, from the first message on (60 s)"
     )
-    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="for so long for a first message (10 s)")
+    parser.add_argument(
+        "--wait", type=float, default=10.0, metavar="S", help="wait S seconds for a first message (10 s)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
 

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,12 +22,12 @@ from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
-Prints what the second log has otherwise: messages missing or new, mean periods
-more than 10 % apart, signals whose range or mean differs by more than 10 % of
-their range, and each log's problems, as check tells them. Exit status: 0
-nothing differs, 1 something does, or something could not be read, 2 wrong use.
---from and --to are of each log's own time; of chosen messages or signals no
-problems are told."""
+Prints messages that are in one log only, mean periods more than 10 % apart,
+signals whose range or mean differs by more than 10 % of their range (the first
+log's values, then the second's), and each log's problems, as check tells them.
+Exit status: 0 nothing differs, 1 something does, or something could not be read,
+2 wrong use. --from and --to count from each log's own first frame; with
+--messages or --signals no problems are told."""
 SHARE: Final = 0.1
 SHOWN: Final = 4  # words of a signal, the most frequent ones
 TOLD: Final = ("missing", "period")
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if first.revision.name != second.revision.name:
         revisions = {"first": first.revision.name, "second": second.revision.name}
         differences.append(("interface revision: {first}, then {second}".format(**revisions), {"revision": revisions}))
-    differences += [] if patterns else _messages(*(one.bus for one in found))
+    differences += [] if patterns else _messages(args.logs, *(one.bus for one in found))
     differences += _signals(first, second, patterns or ["*"])
     if args.json:
         print("".join(f"{json.dumps({**facts, 'words': words})}\n" for words, facts in differences), end="")
@@ -90,7 +90,7 @@ def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
             yield f"{here.moment(finding)}{finding.words}"
 
 
-def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[Difference]:
+def _messages(logs: Sequence[str], first: BusStatistics, second: BusStatistics) -> Iterator[Difference]:
     ours, theirs = ({(m.extended, m.can_id): m for m in bus.messages} for bus in (first, second))
     for key in sorted({*ours, *theirs}):
         before, after = ours.get(key), theirs.get(key)
@@ -100,7 +100,7 @@ def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[Differenc
         periods = {"first": before and before.mean_ms, "second": after and after.mean_ms}
         facts = {"message": there.name, "id": there.can_id, "mean_ms": periods}
         if before is None or after is None:
-            yield f"{name}: {'only in the second log' if before is None else 'missing in the second log'}", facts
+            yield f"only in {logs[before is None]}: {name}", facts
         elif before.mean_ms and after.mean_ms and abs(after.mean_ms / before.mean_ms - 1.0) > SHARE:
             yield f"{name}: every {before.mean_ms:.1f} ms, then every {after.mean_ms:.1f} ms", facts
 

@@ -8,9 +8,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fsai_vcu.runtime.configuration import KEYS, TABLES, USUAL_PATH, ConfigurationError, read_configuration
+from fsai_vcu.runtime.configuration import (
+    KEYS,
+    TABLES,
+    USUAL_PATH,
+    Configuration,
+    ConfigurationError,
+    parse_configuration,
+    read_configuration,
+)
 
-EXAMPLE = "fsai-vcu config check /etc/fsai/fsai.toml"
+EXAMPLE = "fsai-vcu config show\n  fsai-vcu config check /etc/fsai/fsai.toml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         choices=("check", "show", "environment"),
         metavar="check|show|environment",
-        help="check: is it right? show: every setting in force; environment: what a ROS program of one's own needs to "
-        "hear the nodes, as for systemd's EnvironmentFile=",
+        help="check: is it right? show: every setting in force, or the defaults where there is no file; environment: "
+        "the variables with which your own ROS programs see the nodes, as systemd's EnvironmentFile= reads them",
     )
     add("file", nargs="?", type=Path, help="the configuration (default: /etc/fsai/fsai.toml)")
     add("--json", action="store_true", help="print one JSON object")
@@ -30,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """Read the configuration, print its settings or its problems, and return the exit status."""
     path = args.file or USUAL_PATH
     try:
-        configuration = read_configuration(path)
+        configuration = _read(args, path)
     except ConfigurationError as error:
         if args.json:
             print(json.dumps({"file": str(path), "right": False, "problems": list(error.problems)}))
@@ -50,6 +58,17 @@ def run(args: argparse.Namespace) -> int:
         print(f"{path}: right")
         print("\n".join(f"operational limits: {line}" for line in configuration.limits_described()))
     return 0
+
+
+def _read(args: argparse.Namespace, path: Path) -> Configuration:
+    """The configuration in `path`; the defaults are shown on a machine that has none. Raises ConfigurationError."""
+    try:
+        return read_configuration(path)
+    except ConfigurationError as error:
+        if args.what != "show" or args.file or not isinstance(error.__cause__, FileNotFoundError):
+            raise
+    print(f"fsai-vcu config: {path} is not there: these are the defaults", file=sys.stderr)
+    return parse_configuration("", path)
 
 
 def _as_dict(configuration: Any) -> dict[str, Any]:

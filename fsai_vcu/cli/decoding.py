@@ -93,7 +93,8 @@ class Decoding:
             if not any(layout.signals_like([pattern]) for layout in layouts):
                 known = (signal.name for layout in layouts for signal in layout.signals)
                 meant = did_you_mean(pattern.rpartition(".")[2], known)
-                raise UserError(f"no signal {pattern}{meant or '; fsai-vcu dbc show lists them'}")
+                lists = " fsai-vcu dbc show lists all" if meant else "; fsai-vcu dbc show lists them"
+                raise UserError(f"no signal {pattern}{meant}{lists}")
         return patterns
 
     def show_signals(self, names: str | None) -> None:

@@ -23,7 +23,7 @@ EXAMPLE = (
     "  fsai-vcu VERB run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
 )
 _ON_SCREEN: Final = 100  # frames of a log: more of them would only flood a terminal
-_COLUMNS = 150  # of a short line
+_COLUMNS = 150  # of a short line, beside its time
 _TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
 _COLORS: Final = {"error": b"\x1b[31m", "ai": b"\x1b[32m", "vcu": b"\x1b[36m", "unknown": b"\x1b[33m"}
 _NO_COLOR: Final = b"\x1b[0m"
@@ -46,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-t",
         dest="times",
         choices=("a", "A", "d", "z"),
-        help="times: absolute, absolute with the date, delta to the line before, from zero (the first frame, of a log)",
+        help="times: absolute, absolute with the date, delta to the line before, from zero (the first frame, of a log, "
+        "as check and explain count). Default: of a bus none, as candump; dump of a log z; decode and -L a",
     )
     add("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
     add("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
@@ -55,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="count",
         type=int,
         metavar="COUNT",
-        help="end after so many frames (default for a log on a terminal: 100)",
+        help="end after COUNT frames (default for a log on a terminal: 100)",
     )
-    add("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
+    add("-T", dest="idle_ms", type=float, metavar="MS", help="end after MS milliseconds without a frame (live)")
     add(
         "-L",
         dest="log_format",
@@ -70,7 +71,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="only frames that differ from their message's last one, by more than HANDSHAKE",
     )
-    add("--short", action="store_true", help="signals that are not 0 alone, in 150 columns; X! is X_FAULT, +N: N more")
+    add(
+        "--short",
+        action="store_true",
+        help="signals that are not 0 alone, in 150 columns beside the time; X! is X_FAULT, +N: N more",
+    )
     add("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
     add_part_arguments(parser, signals=True)
@@ -91,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
     decoding = Decoding(args.verb, args)
     decoding.show_signals(args.signals)
     sources = Sources(args.verb, args.sources, decoding, part_of(args, decoding))
+    if args.times is None and args.verb == "dump" and not (sources.live or args.no_signals or args.log_format):
+        args.times = "z"
     sources.learn()
     lines = _Lines(args, decoding)
     on_screen = args.count is None and sys.stdout.isatty() and not sources.live
@@ -183,7 +190,9 @@ class _Lines:
             heads = self._screen_lines(frames)
         tails = [b"\n"] * len(frames) if self._bare else self._decoding.writer.tails(frames)
         if self._args.short:
-            tails = [_fitting(tail, _COLUMNS - len(head)) for head, tail in zip(heads, tails, strict=True)]
+            timed = self._log_format or self._args.times is not None
+            heads_columns = [len(head) - (head.index(b")") + 1 if timed else 0) for head in heads]
+            tails = [_fitting(tail, _COLUMNS - columns) for columns, tail in zip(heads_columns, tails, strict=True)]
         if self._color:
             colors = self._colors(frames)
             heads = [color + head if color else head for color, head in zip(colors, heads, strict=True)]

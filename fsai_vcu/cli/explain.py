@@ -18,7 +18,8 @@ ABOUT = """\
 From the frames alone: for every emergency brake and every refusal to start the
 cause, the evidence and what to do about it; then the verdict that check gives.
 With --timeline everything that happened before, too. Exit status: as for check
-(the emergency brake that a mission ends with is no problem)."""
+(the emergency brake that a mission ends with is no problem). Times of a log are
+seconds since its first frame."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,9 +14,14 @@ from fsai_vcu.diagnostics.export.writing import check_format, export
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
-    "fsai-vcu export run.log.gz --format parquet -o run-tables\n"
-    "  fsai-vcu export run.log --format csv --wide --raster 20ms -o run.csv"
+    "fsai-vcu export run.log -o run.csv --raster 20ms\n"
+    "  fsai-vcu export run.log.gz --format parquet -o run-tables\n"
+    "  fsai-vcu export run.log -o run.mcap"
 )
+ABOUT = """\
+Times: CSV and Parquet have the time in the log in the first column and, in the
+second, the seconds since its first frame, as check, explain, report and plot
+count them. MF4 has these alone, MCAP the time in the log."""
 _DEFAULT_RASTER = "10ms"
 _FORMATS = ("csv", "parquet", "mcap", "mf4")
 _FILES = ("mcap", "mf4")
@@ -32,14 +37,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
         "other, as the segments of a recording",
     )
-    add("--format", choices=_FORMATS, help="what to make (default: as PATH ends, where it is a file)")
+    add("--format", choices=_FORMATS, help="what to make (default: as PATH ends)")
     add(
         "-o",
         "--output",
         required=True,
         type=Path,
         metavar="PATH",
-        help="a new folder, one file in it per message, for csv and parquet; a file for mcap and mf4, and with --wide",
+        help="a file: FILE.mcap, FILE.mf4, or FILE.csv and FILE.parquet with one --wide table; with --format csv or "
+        "parquet a new folder, with a file for each message",
     )
     add("--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message")
     add("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
@@ -63,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     """Check the arguments, then write the log's tables."""
     _take_old_names(args)
     ending = args.output.suffix.lstrip(".").lower()
-    if args.format is None and ending in _FORMATS and (args.wide or ending in _FILES):
-        args.format = ending
+    if args.format is None and ending in _FORMATS:  # a file of that name: one table, where it holds no more
+        args.format, args.wide = ending, args.wide or ending not in _FILES
     if args.format is None:
         raise WrongUse(f"--format is missing: {', '.join(_FORMATS)}")
     if args.raster is not None and not args.wide:
@@ -94,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
             decoding.decoder,
             args.format,
             args.output,
+            first_ns=sources.first_ns,
             step_ns=step_ns,
             words=args.words,
             progress=progress.writing,
@@ -103,8 +110,9 @@ def run(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     tables = "1 table" if written.tables == 1 else f"{written.tables} tables"
+    every = f" (one every {args.raster or _DEFAULT_RASTER})" if args.wide else ""
     left_out = f"; left out: {written.left_out}" if written.left_out else ""
-    print(f"{tables}, {written.rows} rows of {len(frames)} frames in {args.output}{left_out}", file=sys.stderr)
+    print(f"{tables}, {written.rows} rows{every} of {len(frames)} frames in {args.output}{left_out}", file=sys.stderr)
     for note in written.notes:
         print(f"fsai-vcu export: {note}", file=sys.stderr)
     return sources.status

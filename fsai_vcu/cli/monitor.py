@@ -55,10 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_database_arguments(parser)
     parser.add_argument("--signals", metavar="NAME,…", help="show these signals; NAME or MESSAGE.NAME, with * and ?")
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after so long (live; default: until Ctrl-C)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds (live; default: until Ctrl-C)")
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--at", metavar="TIME", help="a log as it stood at that time: seconds or time of day, as --from")
-    log.add_argument("--rate", type=float, metavar="X", help="play a log, X times as fast; 0: without waiting")
+    log.add_argument(
+        "--rate", type=float, metavar="X", help="play a log, X times as fast as recorded; 0: without waiting"
+    )
     parser.add_argument("--plain", action="store_true", help="a line a second instead of drawing")
     parser.add_argument("--json", action="store_true", help="one JSON object a second instead of drawing")
 

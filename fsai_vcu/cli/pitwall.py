@@ -55,7 +55,7 @@ PLAYED_S: Final = 25.0  # of a pipe at a time: of so much the view has every fra
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sources_argument(parser)
     add_part_arguments(parser, messages=False)
-    parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast (default: 1)")
+    parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast as recorded (default: 1)")
     parser.add_argument("--loop", action="store_true", help="play a log again and again")
     parser.add_argument("--ros", action="store_true", help="also what the running nodes say: cones, path and status")
     parser.add_argument("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")

@@ -39,7 +39,7 @@ _LOOK_S: Final = 0.1
 _TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a second is ever not on it
 _BOUNDS: Final = {  # of a folder: default, metavar, help
     "segment_size": ("64M", "SIZE", "begin a new segment at this size"),
-    "segment_time": ("10min", "TIME", "… or after so long: 30s, 10min, 1h"),
+    "segment_time": ("10min", "TIME", "… or after this time: 30s, 10min, 1h"),
     "max_total": ("4G", "SIZE", "most that all segments take; the oldest are deleted"),
 }
 _SIZES: Final = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
@@ -55,19 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="FOLDER|FILE",
-        help="a folder: numbered segments, bounded, gone on with after a restart; a file (run.log): one candump log, "
-        "which must not be there yet",
+        help="a folder: numbered segments of limited size, continued after a restart; a file (run.log): one candump "
+        "log, which must not exist yet",
     )
     add("--service", action="store_true", help="as the recording service does: what the car's configuration says")
     add("--config", type=Path, metavar="FILE", help="with --service: the configuration (default: /etc/fsai/fsai.toml)")
-    add("--seconds", type=float, metavar="S", help="stop after so long (default: until Ctrl-C)")
+    add("--seconds", type=float, metavar="S", help="stop after S seconds (default: until Ctrl-C)")
     add("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
     add("--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)")
     add("--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often")
     add("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
     for option, (default, metavar, words) in _BOUNDS.items():
         add(f"--{option.replace('_', '-')}", metavar=metavar, help=f"{words} (default: {default})")
-    add("--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)")
+    add("--keep-free", default="256M", metavar="SIZE", help="leave this much of the disk free (default: 256M)")
     add("--patient", action="store_true", help="try again every second where nothing can be written, as the service")
     add(
         "--limits",

@@ -34,9 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOG[,FILTER…]",
         help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j; the last argument is the bus to send on",
     )
-    add("-i", "--interface", metavar="BUS", help="where to, instead of the last argument: vcan0, loopback:NAME …")
-    add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
-    add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
+    add(
+        "-i",
+        "--interface",
+        metavar="BUS",
+        help="the bus to send on, instead of the last argument: vcan0, loopback:NAME …",
+    )
+    add("--rate", type=float, default=1.0, metavar="X", help="send X times as fast as recorded (default: 1)")
+    add("--loop", nargs="?", type=int, const=0, metavar="N", help="repeat until Ctrl-C, or N times (default: once)")
     add_part_arguments(parser)  # no signals: a frame is sent whole
     add_database_arguments(parser)
     add(
@@ -48,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--with-ai-ids",
         action="store_true",
-        help="send 0x510 to 0x514 too: to a bridge on the bus they are an intruder's",
+        help="send 0x510 to 0x514 too: a bridge on the bus takes them for a second sender",
     )
 
 
@@ -114,5 +119,5 @@ def _result(player: Player) -> int:
     if player.refused:
         print(f"fsai-vcu replay: {player.refused} frames not sent: the transmit queue stayed full", file=sys.stderr)
     if player.late_max_ns > _LATE_NS:
-        print(f"fsai-vcu replay: the latest frame left {player.late_max_ns / 1e6:.0f} ms late", file=sys.stderr)
+        print(f"fsai-vcu replay: frames were sent up to {player.late_max_ns / 1e6:.0f} ms late", file=sys.stderr)
     return 1 if player.refused else 0

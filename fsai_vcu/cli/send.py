@@ -37,16 +37,23 @@ _PERIOD_MS = 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: bus, message, signals, and how often and how carefully it is sent."""
     add = parser.add_argument
     add("bus", nargs="?", metavar="BUS", help=f"{BUS_HELP}; --dry-run needs none")
     add("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
     add("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
     add("-i", "--interface", metavar="BUS", help="the bus, as an option")
     add_database_arguments(parser, "2026")
-    add("--count", type=int, default=1, metavar="N", help="so many times (default: 1; 0: until Ctrl-C)")
-    add("--period", type=float, metavar="MS", help="so far apart (default: the database's, or 100 ms)")
-    add("--listen", type=float, default=_LISTEN_S, metavar="S", help="for a live bridge, before sending (default: 0.5)")
-    add("--as-ai", action="store_true", help="the AI computer's own identifiers too: see above")
+    add("--count", type=int, default=1, metavar="N", help="send N times (default: 1; 0: until Ctrl-C)")
+    add("--period", type=float, metavar="MS", help="MS milliseconds apart (default: the database's period, or 100)")
+    add(
+        "--listen",
+        type=float,
+        default=_LISTEN_S,
+        metavar="S",
+        help="listen for a live bridge before sending (default: 0.5 s)",
+    )
+    add("--as-ai", action="store_true", help="send the AI computer's own identifiers too: see above")
     add("--dry-run", action="store_true", help="send nothing; print the frame as cansend takes it")
     add("--json", action="store_true", help="print the frame and its signals as one JSON object")
 

@@ -36,7 +36,7 @@ def add_bridge_arguments(parser: argparse.ArgumentParser, wait_s: float | None =
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     usual = f"{_STATE_S:g} s; 1 s where no ROS node runs" if wait_s is None else f"{wait_s:g} s"
     parser.add_argument(
-        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after so long (default: {usual})"
+        "--wait", type=float, default=wait_s, metavar="S", help=f"give up after S seconds (default: {usual})"
     )
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
 

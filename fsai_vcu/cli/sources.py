@@ -58,10 +58,10 @@ def add_part_arguments(parser: argparse.ArgumentParser, *, messages: bool = True
         "--from",
         dest="begin",
         metavar="TIME",
-        help="from so many seconds or minutes (1:30) after the log's first frame on, or from a time of day (UTC, "
-        "14:03:30; 14:03 where the log has it)",
+        help="begin at this time: seconds or minutes (90 or 1:30) after the log's first frame, or a time of day "
+        "(UTC, 14:03:30; 14:03 where the log has it)",
     )
-    parser.add_argument("--to", dest="end", metavar="TIME", help="up to that time")
+    parser.add_argument("--to", dest="end", metavar="TIME", help="end at this time")
     if messages:
         parser.add_argument(
             "--messages",
@@ -388,7 +388,7 @@ class Sources:
 
 
 def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, metavar="S", help="listen so long (live; default: until Ctrl-C)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="listen for S seconds (live; default: until Ctrl-C)")
 
 
 def check_seconds(args: argparse.Namespace) -> None:

@@ -36,6 +36,15 @@ def test_a_bus_without_the_car_is_measured_and_not_called_ok(well: Path, capsys:
     ]
 
 
+def test_the_first_line_names_the_log_and_its_bus(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(well, "--figures")
+    first, titles, units, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{well}: 100 frames on can0 in 0.990 s, load ")
+    for title, unit in (("median", "ms"), ("jitter max", "ms"), ("longest gap", "ms"), ("frozen", "ms")):
+        end = titles.index(title) + len(title)
+        assert units[:end].endswith(f" {unit}"), title
+
+
 def test_what_is_wrong_is_named_with_status_1(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = well.read_text().splitlines(keepends=True)
     well.write_text("".join(lines[:30] + lines[50:]).replace("#001D", "#00"))

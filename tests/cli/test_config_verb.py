@@ -43,6 +43,18 @@ def test_effective_values_include_defaults_and_node_parameters(file: Path, capsy
     assert "parameters of vcu_bridge:" in shown and '  revision: "2021"' in shown
 
 
+def test_without_a_file_the_defaults_are_shown_and_called_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("fsai_vcu.cli.config.USUAL_PATH", tmp_path / "absent.toml")
+    assert main(["config", "show"]) == 0
+    said = capsys.readouterr()
+    assert said.err == f"fsai-vcu config: {tmp_path}/absent.toml is not there: these are the defaults\n"
+    assert "[can] revision = " in said.out
+    for argv in (["check"], ["environment"], ["show", str(tmp_path / "absent.toml")]):
+        assert main(["config", *argv]) == 1, "nothing is taken for a file that must be there"
+
+
 def test_the_ros_environment_is_printed_as_systemd_reads_it(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "environment", str(file)]) == 0
     lines = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())

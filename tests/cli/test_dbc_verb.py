@@ -25,6 +25,13 @@ def test_show_may_be_left_out_and_a_signal_finds_its_message(argv: str, capsys: 
     assert capsys.readouterr().out.startswith("0x513 AI2VCU_Steer: ")
 
 
+@pytest.mark.parametrize("word", ["steer", "steering", "Steer"])
+def test_a_word_finds_the_messages_that_have_it_in_their_names(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", "show", word]) == 0
+    heads = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line.startswith("0x")]
+    assert heads == ["AI2VCU_Steer:", "VCU2AI_Steer:"]
+
+
 def test_the_mark_of_a_fault_bit_is_no_unit(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dbc", "show", "0x520"]) == 0
     said = capsys.readouterr().out

@@ -134,6 +134,20 @@ def test_a_logs_times_count_from_its_first_frame(tmp_path: Path, capsys: pytest.
         assert shown(capsys, *part, "-t", "z", "--no-signals")[0].startswith(" (002.500000)"), part
 
 
+def test_a_logs_lines_have_explains_times_without_being_asked(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = shown(capsys, log)
+    assert [line.split()[0] for line in lines] == ["(000.000000)", "(000.000100)", "(001.100000)", "(001.100001)"]
+    assert shown(capsys, log, "-t", "z") == lines and shown(capsys, log, "-t", "a") != lines
+    assert shown(capsys, log, "--short")[2].startswith(" (001.100000) ")
+
+
+def test_a_bus_has_no_times_until_they_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    name = f"loopback:timeless-{os.getpid()}"
+    with talking(name, Frame(0x520, bytes(8))):
+        assert shown(capsys, name, "-n", "1")[0].lstrip().startswith("timeless-")
+        assert shown(capsys, name, "-n", "1", "-t", "z")[0].startswith(" (000.000000) ")
+
+
 def test_signals_are_those_of_the_logs_own_revision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "run.log"  # SM_SYS is only in 2021, and nothing before 0x120 tells the revision
     log.write_text("(1.000000) can0 513#0000\n(1.100000) can0 120#0000000000000000\n")
@@ -168,7 +182,7 @@ def test_0x520_of_every_state_and_fault_fits_150_columns(tmp_path: Path, capsys:
     frames = [codec.encode(replace(each, ami=ami)) for each in sent for ami in Ami]
     (tmp_path / "run.log").write_text("".join(f"(1.0) vcan0 520#{frame.data.hex()}\n" for frame in frames))
     assert main(["dump", "--short", "--revision", "2026", str(tmp_path / "run.log")]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = [line.partition(")")[2] for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == len(frames) and max(map(len, lines)) <= 150, max(lines, key=len)
     assert not [line for line in lines if "+" in line], "all of it is there"
 
@@ -182,7 +196,7 @@ def test_0x520_with_many_flags_is_cut_to_150_columns(
     payloads = [word.to_bytes(8, "little").hex() for word in words]
     (tmp_path / "run.log").write_text("".join(f"(1.0) vcan0 520#{payload}\n" for payload in [*payloads, 16 * "F"]))
     assert main(["dump", "--short", "--revision", "2026", *times, str(tmp_path / "run.log")]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = [line.partition(")")[2] for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == len(payloads) + 1 and 140 < max(map(len, lines)) <= 150, max(lines, key=len)
     for faults, line in enumerate(lines[: 1 << 11]):
         words = line.partition("[8]")[2].split()[8:]

@@ -33,7 +33,39 @@ def test_tables_are_written_and_counted(log: Path, capsys: pytest.CaptureFixture
     out = log.with_name("tables")
     assert main(["export", str(log), "--format", "csv", "-o", str(out)]) == 0
     assert capsys.readouterr().err == f"1 table, 3 rows of 3 frames in {out}\n"
-    assert columns(out / "VCU2AI_Steer.csv")[1] == ["1.000000", "10.0", "10.0", "10.0"]
+    assert columns(out / "VCU2AI_Steer.csv")[1] == ["1.000000", "0.000000", "10.0", "10.0", "10.0"]
+
+
+def test_times_count_from_the_logs_first_frame_in_every_format(log: Path) -> None:
+    """As explain and report count, whatever part is exported; the time in the log is beside it."""
+    import asammdf  # slow to import
+    import pyarrow.parquet as pq  # type: ignore[import-untyped]
+
+    log.write_text("(5.250000) can0 514#0000\n(6.000000) can0 523#640064006400\n(7.500000) can0 523#640064006400\n")
+    for form, name in (("csv", "tables"), ("parquet", "frames"), ("mf4", "run.mf4")):
+        assert main(["export", str(log), "--from", "1", "--format", form, "-o", str(log.with_name(name))]) == 0
+    head, row = columns(log.with_name("tables") / "VCU2AI_Steer.csv")
+    assert head[:2] == ["time [s]", "time since first frame [s]"]
+    assert row[:2] == ["7.500000", "2.250000"]
+    table = pq.read_table(log.with_name("frames") / "VCU2AI_Steer.parquet")
+    assert table["time since first frame"].to_pylist() == [2.25]
+    assert table.schema.field("time since first frame").metadata == {b"unit": b"s"}
+    with asammdf.MDF(log.with_name("run.mf4")) as mdf:
+        assert mdf.get("ANGLE").timestamps.tolist() == [2.25]
+
+
+def test_times_before_the_first_frame_are_below_zero(log: Path) -> None:
+    log.write_text("(5.250000) can0 523#640064006400\n(5.000000) can0 523#640064006400\n")
+    assert main(["export", str(log), "--format", "csv", "-o", str(log.with_name("tables"))]) == 0
+    rows = columns(log.with_name("tables") / "VCU2AI_Steer.csv")[1:]
+    assert [row[:2] for row in rows] == [["5.250000", "0.000000"], ["5.000000", "-0.250000"]]
+
+
+def test_a_csv_file_is_one_wide_table_without_being_asked(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = log.with_name("run.csv")
+    assert main(["export", str(log), "-o", str(path), "--raster", "20ms"]) == 0
+    assert capsys.readouterr().err == f"1 table, 1 rows (one every 20ms) of 3 frames in {path}\n"
+    assert columns(path)[0][2] == "VCU2AI_Steer.ANGLE [deg]"
 
 
 def test_filters_leave_frames_out_and_other_databases_are_used(log: Path, tmp_path: Path) -> None:
@@ -75,8 +107,8 @@ def test_segments_of_a_recording_are_one_log(log: Path) -> None:
     argv = ["export", str(log), str(second), "--format", "csv", "-o", str(out), "--wide", "--raster", "1s"]
     assert main(argv) == 0
     rows = columns(out)
-    assert rows[0][1] == "can0.VCU2AI_Steer.ANGLE [deg]"
-    assert [row[1] for row in rows[1:]] == ["10.0", "10.0", "20.0"]
+    assert rows[0][2] == "can0.VCU2AI_Steer.ANGLE [deg]"
+    assert [row[2] for row in rows[1:]] == ["10.0", "10.0", "20.0"]
 
 
 def test_what_is_there_is_not_mixed_with_what_is_new(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,4 +187,4 @@ def test_only_the_signals_asked_for_are_exported(log: Path, kind: str, capsys: p
     assert main(["export", str(log), "--format", kind, "-o", str(out), "--signals", "ANGLE"]) == 0
     assert capsys.readouterr().err.startswith("1 table, 1 rows of 1 frames")
     if kind == "csv":
-        assert [cell.split()[0] for cell in columns(out / "VCU2AI_Steer.csv")[0]] == ["time", "ANGLE"]
+        assert columns(out / "VCU2AI_Steer.csv")[0][2:] == ["ANGLE [deg]"]

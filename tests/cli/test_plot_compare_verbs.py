@@ -133,7 +133,7 @@ def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: p
     second.write_text("\n".join(sorted([*second.read_text().splitlines(), *added])) + "\n")
     argv = ["compare", str(first), str(second)]
     angle = "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg"
-    new = "0x513 AI2VCU_Steer: only in the second log"
+    new = f"only in {second}: 0x513 AI2VCU_Steer"
     for part, lines in (
         ([], [new, angle]),
         (["--to", "1.5"], [angle]),

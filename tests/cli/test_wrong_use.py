@@ -146,7 +146,7 @@ USES = [
             ("new --topic /x", 2, "--topic goes with --ros"),
             ("new.log --limits gone.toml", 1, "cannot read the operational limits gone.toml: No such file"),
             ("new.log --revision 1999", 1, "choose one of 2021, 2026"),
-            ("run.log", 1, "run.log is there already; name another file, or a folder to go on in"),
+            ("run.log", 1, "run.log exists already; name another file, or a folder to continue in"),
         )
     ),
     # ---------------------------------------------------------------- drives, tracks, campaigns

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of
+from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of, most_aside_m
 from fsai_vcu.core.planning.lap_strategy import free_of_cones
 from fsai_vcu.core.planning.settings import PlannerSettings
 
@@ -88,6 +88,29 @@ def test_a_way_found_in_every_other_look_alone_is_lost() -> None:
         assert motion.distance_m < 10.0
 
 
+def swaying(evidence: Evidence, by_m: float, least: int = 60) -> list[Course]:
+    """What is said of a way on that each look moves so far, to one side and back."""
+    ways = [replace(SURE, path_m=STRAIGHT + np.array((0.0, side * by_m / 2.0))) for side in (1.0, -1.0)]
+    return [evidence.judged(ways[count % 2], motion) for motion, count in zip(looks(), range(least), strict=False)]
+
+
+def test_a_way_that_each_look_moves_is_doubted_then_lost() -> None:
+    courses = swaying(Evidence(), 0.35)
+    assert courses[2].confidence > 0.9, "one look alone may move it"
+    assert any(course.note == "each look moves the way ahead, by 0.2 m" for course in courses)
+    assert courses[-1].note.startswith("lost: each look moves the way ahead")
+
+
+def test_a_way_that_noise_moves_a_little_is_believed() -> None:
+    assert all(course.confidence == 1.0 for course in swaying(Evidence(), 0.1))
+
+
+def test_the_points_of_a_way_may_begin_anywhere_along_it() -> None:
+    assert most_aside_m(STRAIGHT + np.array((0.25, 0.0)), STRAIGHT) == 0.0
+    assert most_aside_m(np.array(((3.2, 0.4), (5.0, -0.1))), STRAIGHT) == pytest.approx(0.4)
+    assert most_aside_m(STRAIGHT[:0], STRAIGHT) == 0.0
+
+
 def test_a_way_kept_in_doubt_is_borne_out_no_further_than_before() -> None:
     evidence, far = Evidence(), replace(UNSURE, supported_m=19.0)
     for count, motion in enumerate(looks()):
@@ -131,8 +154,15 @@ def test_a_bend_tighter_than_the_car_can_turn_is_named(radius_m: float, least_m:
 def test_a_lost_car_drives_on_from_rest_when_it_sees_its_way(speed: float, course: Course, again: bool) -> None:
     evidence, there = lost()
     notes = [evidence.judged(course, motion).note for motion, _ in zip(looks(speed, there), range(60), strict=False)]
-    assert notes[15].startswith("lost"), "not before a second has passed"
+    assert notes[35].startswith("lost"), "not before two seconds have passed"
     assert (not notes[-1].startswith("lost")) is again
+
+
+def test_a_lost_car_waits_for_two_seconds_without_a_doubt() -> None:
+    evidence, there = lost()
+    for motion, count in zip(looks(0.0, there), range(200), strict=False):
+        course = evidence.judged(UNSURE if count % 30 == 0 else SURE, motion)
+        assert course.note.startswith("lost")
 
 
 def test_a_finished_mission_stops_where_it_has_to() -> None:

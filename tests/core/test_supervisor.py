@@ -795,6 +795,8 @@ def test_an_unknown_as_state_takes_torque_away_at_once(age_ns: int) -> None:
     (after, _), decision = cycle((doubted(state, NOW), inputs))
     assert (decision.phase, dict(decision.details)) == (Phase.HOLDING, {Reason.AS_STATE_UNKNOWN: doubt})
     assert after.stop is None and after.emergency is None
+    state, inputs = driving(status_ns=NOW - age_ns)
+    assert dict(decide(doubted(state, NOW), inputs).details) == {Reason.AS_STATE_UNKNOWN: ""}, "no doubt has no words"
 
 
 def test_torque_returns_after_100_ms_of_known_as_states() -> None:

@@ -11,6 +11,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cache
 
+import numpy as np
 from msgspec.structs import replace
 
 from fsai_hil.simulator.faults import FaultyWire, FrameFault
@@ -23,7 +24,7 @@ from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.units import S
+from fsai_vcu.interface.units import MS, S
 
 Act = Callable[["Run"], None]
 
@@ -160,6 +161,24 @@ def after(frames: Frames, begin_ns: int) -> Frames:
 def cut(frames: Frames, end_ns: int) -> Frames:
     """What a log has up to `end_ns`: recording ended early."""
     return frames.only(frames.t_ns <= end_ns)
+
+
+def of_ids(frames: Frames, ids: Sequence[int], since_ns: int = 0) -> Frames:
+    return frames.only(np.isin(frames.can_id, ids) & (frames.t_ns >= since_ns))
+
+
+def without(frames: Frames, *ids: int) -> Frames:
+    return frames.only(~np.isin(frames.can_id, ids))
+
+
+def in_order(*parts: Frames) -> Frames:
+    whole = joined(parts)
+    return whole.only(np.argsort(whole.t_ns, kind="stable"))
+
+
+def twice(frames: Frames, again: Frames, late_ns: int = 4 * MS) -> Frames:
+    """With some of its frames, or others, once more, so much later."""
+    return in_order(frames, again.at(again.t_ns + late_ns))
 
 
 def hand_made(lines: Sequence[tuple[float, int, str]]) -> Frames:

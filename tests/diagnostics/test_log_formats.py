@@ -112,22 +112,18 @@ def packets() -> list[bytes]:
     return [struct.pack(">LBBxx", i, len(d), 0) + d.ljust(8, b"\0") for i, d in ROWS]
 
 
-def pcap() -> bytes:
-    each = (struct.pack("<LLLL", T0_S, n * 10_000, 16, 16) + packet for n, packet in enumerate(packets()))
-    return struct.pack("<LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227) + b"".join(each)
+HEADS = {227: b"", 113: struct.pack(">HHHQH", 0, 280, 0, 0, 12), 276: struct.pack(">HHLHBBQ", 12, 0, 3, 280, 0, 0, 0)}
+"""What stands before each packet of a capture: nothing, or on `any` the head of a cooked one."""
 
 
-def cooked(link: int, order: str = "<") -> bytes:
-    """A capture on `any`: each packet with the head of a cooked capture, the identifier in the computer's own order."""
-    head = (
-        struct.pack(">HHHQH", 0, 280, 0, 0, 0x000C) if link == 113 else struct.pack(">HHLHBBQ", 12, 0, 3, 280, 0, 0, 0)
-    )
-    own = [struct.pack(f"{order}L", int.from_bytes(packet[:4], "big")) + packet[4:] for packet in packets()]
-    each = (
-        struct.pack(f"{order}LLLL", T0_S, n * 10_000, len(head) + 16, len(head) + 16) + head + packet
-        for n, packet in enumerate(own)
-    )
-    return struct.pack(f"{order}LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link) + b"".join(each)
+def pcap(link: int = 227, order: str = "<") -> bytes:
+    """On `any`, identifiers are in the computer's own order."""
+    whole = struct.pack(f"{order}LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
+    for n, packet in enumerate(packets()):
+        can_id = packet[:4] if link == 227 or order == ">" else packet[3::-1]
+        body = HEADS[link] + can_id + packet[4:]
+        whole += struct.pack(f"{order}LLLL", T0_S, n * 10_000, len(body), len(body)) + body
+    return whole
 
 
 def pcapng() -> bytes:
@@ -186,14 +182,18 @@ MADE: dict[str, Callable[[], str | bytes]] = {
     "BLF not packed": lambda: blf(packed=False),
     "pcap": pcap,
     "pcapng": pcapng,
-    "pcap of any": lambda: cooked(113),
-    "pcap of any, big-endian": lambda: cooked(113, ">"),
-    "pcap of any, with interfaces": lambda: cooked(276),
+    "pcap of any": lambda: pcap(113),
+    "pcap of any, big-endian": lambda: pcap(113, ">"),
+    "pcap of any, with interfaces": lambda: pcap(276),
 }  # fmt: skip
 
 
+def as_bytes(content: str | bytes) -> bytes:
+    return content.encode() if isinstance(content, str) else content
+
+
 def given(path: Path, content: str | bytes) -> tuple[list[LogFrame], Log]:
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    path.write_bytes(as_bytes(content))
     with open_log(path) as log:
         return list(log.frames()), log
 
@@ -312,8 +312,7 @@ PACKINGS: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("what", ["candump", "BLF", "TRC 2.1"])
 @pytest.mark.parametrize("how", PACKINGS)
 def test_a_packed_log_is_read_like_the_log_itself(how: str, what: str, tmp_path: Path) -> None:
-    made = MADE[what]()
-    content = PACKINGS[how](made if isinstance(made, bytes) else made.encode())
+    content = PACKINGS[how](as_bytes(MADE[what]()))
     assert_whole(*given(tmp_path / "run.log", content))
     for cut in (len(content) // 2, len(content) - 1):
         assert given(tmp_path / "run.log", content[:cut])[1].problems
@@ -478,11 +477,8 @@ def test_errors_of_the_bus_reach_the_verdict_from_each_format(
 
 
 def test_what_is_no_frame_is_counted_by_kind_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frames = [blf_frame(n, i, d) for n, (i, d) in enumerate(ROWS)]
-    found, log = given(
-        tmp_path / "run.blf", blf([*frames, *[blf_object(4, 30, bytes(32))] * 3, blf_object(96, 30, b"")])
-    )
-    assert_whole(found, log)
+    others = [*[blf_object(4, 30, bytes(32))] * 3, blf_object(96, 30, b"")]
+    assert_whole(*given(tmp_path / "run.blf", blf([*blf_frames(), *others])))
     main(["check", str(tmp_path / "run.blf")])
     said = capsys.readouterr().err
     assert "note: 3 times: an object of type 4 (statistics)" in said and "type 96 (marker)" in said
@@ -548,7 +544,7 @@ def test_what_a_file_announces_and_has_not_is_said(what: str, tmp_path: Path) ->
 @pytest.mark.parametrize("what", MADE)
 def test_a_log_cut_anywhere_has_no_other_frame(what: str, tmp_path: Path) -> None:
     made = MADE[what]()
-    content = made if isinstance(made, bytes) else made.encode()
+    content = as_bytes(made)
     chance = random.Random(what)
     for cut in [chance.randrange(len(content)) for _ in range(25)]:
         frames, log = given(tmp_path / "run.any", content[:cut])
@@ -564,8 +560,7 @@ def test_a_log_cut_anywhere_has_no_other_frame(what: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("what", MADE)
 def test_a_log_with_a_changed_byte_ends_in_frames_and_words(what: str, tmp_path: Path) -> None:
-    made = MADE[what]()
-    content = bytearray(made if isinstance(made, bytes) else made.encode())
+    content = bytearray(as_bytes(MADE[what]()))
     chance = random.Random(what)
     for _ in range(25):
         at = chance.randrange(len(content))

@@ -10,13 +10,12 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, wait
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
-from story_runs import Ended, after, branch, driving, off, ready
+from story_runs import Ended, after, branch, driving, of_ids, off, ready, twice
 
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import Record
@@ -238,9 +237,7 @@ def test_a_second_sender_on_the_ai_computers_ids_is_named() -> None:
 
 def test_a_second_car_is_named_in_one_line() -> None:
     good = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
-    twice = good.only(good.can_id == 0x520)
-    both = joined([good, replace(twice, t_ns=twice.t_ns + 4 * MS)])
-    picture = seen(both.only(np.argsort(both.t_ns, kind="stable")))
+    picture = seen(twice(good, of_ids(good, [0x520])))
     (told,) = [text for text in picture.link if text.startswith("somebody else sends the car's messages: 0x520")]
     assert "frames a second" in told
 

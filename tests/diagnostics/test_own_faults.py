@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from story_runs import branch, driving
+from story_runs import branch, driving, in_order, of_ids, twice, without
 
 from fsai_vcu.diagnostics.explain import explained
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, joined, set_right
@@ -158,36 +158,30 @@ def test_two_runs_in_one_log_are_no_clock_that_was_set(drive: Frames) -> None:
 # ---------------------------------------------------------------- frames that are there twice
 
 
-def in_order(*parts: Frames) -> Frames:
-    whole = joined(parts)
-    return whole.only(np.argsort(whole.t_ns, kind="stable"))
-
-
 def marked(frames: Frames, mark: int) -> Frames:
     return replace(frames, flags=frames.flags | np.uint8(mark))
 
 
 @pytest.fixture(scope="module")
 def of_ai(drive: Frames) -> Frames:
-    return drive.only(np.isin(drive.can_id, AI_IDS))
+    return of_ids(drive, AI_IDS)
 
 
 def test_a_log_with_each_frame_twice_accuses_nobody(drive: Frames) -> None:
-    verdict = judged(in_order(drive, drive.at(drive.t_ns + 100_000)))
+    verdict = judged(twice(drive, drive, 100_000))
     assert verdict.ok and "twice" in {finding.kind for finding in verdict.findings}, list(verdict.lines())
 
 
 def test_an_adapters_echo_is_no_second_stack(drive: Frames, of_ai: Frames) -> None:
-    others = drive.only(~np.isin(drive.can_id, AI_IDS))
-    echo = marked(of_ai.at(of_ai.t_ns + 200_000), RECEIVED)
-    verdict = judged(in_order(marked(others, RECEIVED), marked(of_ai, SENT), echo))
+    sent_once = in_order(marked(without(drive, *AI_IDS), RECEIVED), marked(of_ai, SENT))
+    verdict = judged(twice(sent_once, marked(of_ai, RECEIVED), 200_000))
     assert verdict.ok, list(verdict.lines())
     (note,) = (finding for finding in verdict.findings if finding.kind == "twice")
     assert note.words.endswith("its adapter's echo; each counts once")
 
 
 def test_what_may_be_an_echo_or_a_second_program_is_not_known(drive: Frames, of_ai: Frames) -> None:
-    verdict = judged(in_order(drive, of_ai.at(of_ai.t_ns + 200_000)))
+    verdict = judged(twice(drive, of_ai, 200_000))
     assert kinds(verdict) == [] and not verdict.ok
     assert "an adapter's echo, or a second program" in verdict.unknown[0].replace("its adapter", "an adapter")
 
@@ -196,9 +190,8 @@ def test_a_second_stack_that_only_waits_is_no_echo(drive: Frames, of_ai: Frames)
     """It sends zeros as the first one does, and its HANDSHAKE is right as well."""
     waiting = drive.only(drive.t_ns < drive.t_ns[0] + 3 * S)
     ours = of_ai.only(of_ai.t_ns < drive.t_ns[0] + 3 * S)
-    zeros = np.where(ours.can_id == 0x510, ours.word, np.uint64(0))
-    first = in_order(waiting.only(~np.isin(waiting.can_id, AI_IDS)), replace(ours, word=zeros))
-    verdict = judged(in_order(first, replace(ours, word=zeros, t_ns=ours.t_ns + 200_000)))
+    zeros = replace(ours, word=np.where(ours.can_id == 0x510, ours.word, np.uint64(0)))
+    verdict = judged(twice(in_order(without(waiting, *AI_IDS), zeros), zeros, 200_000))
     assert "intruder" in kinds(verdict)
 
 

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from story_runs import twice
 
 from fsai_vcu.diagnostics import serving
 from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.log import live
-from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
@@ -166,8 +167,8 @@ def test_the_way_is_that_of_the_log_however_seldom_one_looks(run: Frames, step_n
 def test_a_run_begins_at_its_frame_whenever_one_looks(run: Frames) -> None:
     driven_ns = run.t_ns[0] + 17 * S
     pushed = run.only((run.can_id == 0x525) & (run.t_ns > driven_ns) & (run.t_ns < driven_ns + 3 * S))
-    both = joined([run, pushed.at(pushed.t_ns - 10 * S - 5 * MS)])  # in AS_READY, between those that say 0
-    trace, alone = traced(both.only(np.argsort(both.t_ns, kind="stable")), LONG_NS), traced(run, 200 * MS)
+    both = twice(run, pushed, -10 * S - 5 * MS)  # in AS_READY, between those that say 0
+    trace, alone = traced(both, LONG_NS), traced(run, 200 * MS)
     assert trace.pose == pytest.approx(alone.pose, abs=1e-6)
     assert len(trace.line.points) == len(alone.line.points)
 

@@ -6,15 +6,14 @@ import json
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
-from story_runs import branch, driving
+from story_runs import branch, cut, driving, of_ids, twice
 
 from fsai_hil.simulator.faults import Drop
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.candump import log_lines
-from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.log.recorded import Recorded, note_stalls, recorded
 from fsai_vcu.diagnostics.verdict.own_faults import of_the_recording
 from fsai_vcu.interface.reserved import AI_IDS
@@ -34,11 +33,8 @@ def silent() -> tuple[Frames, int]:
 def held_up(silent: tuple[Frames, int]) -> tuple[Frames, int]:
     """The same, but the AI computer speaks again 10 ms after the car has braked."""
     frames, silent_ns = silent
-    of_ai = np.isin(frames.can_id, AI_IDS)
-    before = np.flatnonzero(of_ai & (frames.t_ns > silent_ns - 310 * MS) & (frames.t_ns < silent_ns))
-    again = frames.only(before)
-    whole = joined([frames, again.at(again.t_ns + 420 * MS)])
-    return whole.only(np.argsort(whole.t_ns, kind="stable")), silent_ns
+    before = cut(of_ids(frames, AI_IDS, silent_ns - 310 * MS), silent_ns)
+    return twice(frames, before, 420 * MS), silent_ns
 
 
 def written(folder: Path, frames: Frames, **about: object) -> Path:

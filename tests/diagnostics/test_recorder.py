@@ -89,6 +89,19 @@ class Rig:
         return sum(path.stat().st_size for path in self.path.iterdir())
 
 
+def recorded(folder: Path, first: int = 0, **how: Any) -> Rig:
+    """A recording of ten frames that has ended."""
+    rig = Rig(folder, **how)
+    rig.turn(received(10, first))
+    rig.recording.close(rig.now_ns)
+    return rig
+
+
+def count_of(mcap: Path) -> int:
+    with mcap.open("rb") as file:
+        return sum(1 for _ in make_reader(file).iter_messages())
+
+
 # ---------------------------------------------------------------- segments
 
 
@@ -156,14 +169,10 @@ def test_what_must_stay_free_on_the_disk_stays_free(tmp_path: Path, monkeypatch:
 
 
 def test_a_restart_begins_a_new_segment_and_overwrites_nothing(tmp_path: Path) -> None:
-    first = Rig(tmp_path / "run")
-    first.turn(received(10))
-    first.recording.close(first.now_ns)
-    second = Rig(tmp_path / "run")
-    second.turn(received(10, 10))
-    second.recording.close(second.now_ns)
-    assert [path.name for path in second.logs()] == ["can0-000001.log", "can0-000002.log"]
-    assert numbers(*second.logs()) == list(range(20))
+    recorded(tmp_path / "run")
+    logs = recorded(tmp_path / "run", 10).logs()
+    assert [path.name for path in logs] == ["can0-000001.log", "can0-000002.log"]
+    assert numbers(*logs) == list(range(20))
 
 
 def test_a_second_recorder_of_the_same_bus_is_refused(tmp_path: Path) -> None:
@@ -220,8 +229,7 @@ def test_a_full_disk_is_reported_once_and_leaves_no_hole(tmp_path: Path, monkeyp
     assert rig.reports[1:] == [f"writing again in {rig.path}"]
     rig.recording.close(rig.now_ns)
     assert numbers(*rig.logs()) == list(range(120))
-    with (rig.path / "can0-000001.mcap").open("rb") as file:
-        assert sum(1 for _ in make_reader(file).iter_messages()) == 120
+    assert count_of(rig.path / "can0-000001.mcap") == 120
     assert rig.recording.lost == 0
 
 
@@ -284,9 +292,7 @@ def test_links_in_the_folder_lead_the_recorder_to_no_other_file(tmp_path: Path) 
     (folder / "can0-000005.mcap").symlink_to("../mcap")
     for name in ("can0-000006.json", "can0-000006.json.new", "can0-000007.log"):
         (folder / name).symlink_to("../sidecar")
-    rig = Rig(folder, mcap=True)
-    rig.turn(received(10))
-    rig.recording.close(rig.now_ns)
+    rig = recorded(folder, mcap=True)
     assert {name: (tmp_path / name).read_bytes() for name in words} == words
     assert numbers(folder / "can0-000008.log") == list(range(10))
     assert rig.reports == [
@@ -329,14 +335,12 @@ def test_a_pipe_or_a_folder_is_passed_over_where_a_file_was(
 
 
 def test_a_file_with_holes_takes_no_room_from_the_recording(tmp_path: Path) -> None:
-    rig = Rig(tmp_path / "run", Bounds(segment_bytes=1000 * LINE_BYTES, total_bytes=4000 * LINE_BYTES), mcap=False)
-    rig.turn(received(10))
-    rig.recording.close(rig.now_ns)
+    bounds = Bounds(segment_bytes=1000 * LINE_BYTES, total_bytes=4000 * LINE_BYTES)
+    recorded(tmp_path / "run", bounds=bounds)
     with (tmp_path / "run" / "can0-000002.log").open("wb") as file:
         file.truncate(10 << 30)
-    rig = Rig(tmp_path / "run", Bounds(segment_bytes=1000 * LINE_BYTES, total_bytes=4000 * LINE_BYTES), mcap=False)
-    rig.turn(received(10, 10))
-    assert numbers(rig.logs()[0]) == list(range(10)) and numbers(rig.logs()[-1]) == list(range(10, 20))
+    logs = recorded(tmp_path / "run", 10, bounds=bounds).logs()
+    assert numbers(logs[0]) == list(range(10)) and numbers(logs[-1]) == list(range(10, 20))
 
 
 @pytest.mark.parametrize("there", [[999_999], [999_998], [1, 999_999], [21, 22, 999_999]])
@@ -345,9 +349,7 @@ def test_a_number_at_the_end_of_the_range_is_no_end_of_recording(there: list[int
     for number in there:
         (tmp_path / "run" / f"can0-{number:06d}.log").touch()
     for run in range(4):
-        rig = Rig(tmp_path / "run")
-        rig.turn(received(10, 10 * run))
-        rig.recording.close(rig.now_ns)
+        rig = recorded(tmp_path / "run", 10 * run)
     written = [path for path in rig.logs() if path.stat().st_size]
     assert sorted(numbers(*written)) == list(range(40))
     oldest_first = rig.place.all_files(".log")
@@ -413,20 +415,19 @@ def test_a_cut_mcap_is_repaired_and_loses_at_most_one_turn(tmp_path: Path) -> No
         path.write_bytes(data[:length])
         expected = streamed(data[:length])
         assert repair_mcap(path) is not None
+        count = count_of(path)
         with path.open("rb") as file:
-            summary = make_reader(file).get_summary()
-            assert summary is not None and summary.statistics is not None
-            file.seek(0)
-            found = [message.log_time for _, _, message in make_reader(file).iter_messages()]
-            file.seek(0)
-            steer = list(make_reader(file).iter_messages(topics=["/can0/VCU2AI_Steer"]))
-        assert len(found) == len(expected) == summary.statistics.message_count >= before
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            steer = list(reader.iter_messages(topics=["/can0/VCU2AI_Steer"]))
+        assert summary is not None and summary.statistics is not None
+        assert count == len(expected) == summary.statistics.message_count >= before
         assert len(steer) == sum(
             summary.statistics.channel_message_counts.get(c.id, 0)
             for c in summary.channels.values()
             if c.topic == "/can0/VCU2AI_Steer"
         )
-        before = len(found)
+        before = count
         assert repair_mcap(path) is None, "it is whole now"
     assert before == 105
     assert len(streamed(data[:-40])) >= 94, "more than the last turn is lost"
@@ -437,8 +438,7 @@ def test_a_last_chunk_of_garbage_is_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "garbage.mcap"
     path.write_bytes(data[:-1200] + bytes(1200))
     assert repair_mcap(path) is not None
-    with path.open("rb") as file:
-        assert 80 <= sum(1 for _ in make_reader(file).iter_messages()) < 105
+    assert 80 <= count_of(path) < 105
 
 
 # ---------------------------------------------------------------- the MCAP
@@ -476,5 +476,4 @@ def test_unknown_frames_are_in_the_log_and_not_in_the_mcap(tmp_path: Path, error
     rig.recording.close(rig.now_ns)
     frames, problems = read_log(rig.logs()[0])
     assert not problems and [f.error for f in frames] == [error, False]
-    with (rig.path / "can0-000001.mcap").open("rb") as file:
-        assert sum(1 for _ in make_reader(file).iter_messages()) == 1
+    assert count_of(rig.path / "can0-000001.mcap") == 1

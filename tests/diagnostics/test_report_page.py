@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from story_runs import branch, driving, log_of, page
+from story_runs import branch, driving, log_of, of_ids, page, twice
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.explain import Record
@@ -131,17 +131,14 @@ def test_lanes_show_the_as_states_one_behind_the_other(frames: Frames) -> None:
 
 
 def test_a_second_car_has_a_lane(frames: Frames) -> None:
-    twice = frames.only((frames.can_id == 0x520) & (frames.t_ns > frames.t_ns[-1] - 2 * S))
-    both = joined([frames, replace(twice, t_ns=twice.t_ns + 4 * MS)])
-    record = Record(both.only(np.argsort(both.t_ns, kind="stable")))
+    record = Record(twice(frames, of_ids(frames, [0x520], frames.t_ns[-1] - 2 * S)))
     (span,) = next(lane["spans"] for lane in lanes(record, record.begin_ns) if lane["name"] == "second car")
     assert span[1] - span[0] == pytest.approx(2.0, abs=0.2)
 
 
 def test_a_lane_of_two_senders_is_drawn_to_its_end(frames: Frames) -> None:
-    ours = frames.only(frames.can_id == 0x510)
-    both = joined([frames, replace(ours, t_ns=ours.t_ns + 4 * MS, word=np.zeros_like(ours.word))])
-    record = Record(both.only(np.argsort(both.t_ns, kind="stable")))
+    ours = of_ids(frames, [0x510])
+    record = Record(twice(frames, replace(ours, word=np.zeros_like(ours.word))))
     spans = next(lane["spans"] for lane in lanes(record, 0) if lane["name"] == "AI says")
     assert spans[-1][1] == pytest.approx(record.end_ns / S, abs=0.02)
     assert len(spans) < 500 and "more changes" in spans[-1][2]

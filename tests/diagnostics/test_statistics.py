@@ -120,7 +120,7 @@ def test_a_message_that_never_comes_is_missed() -> None:
 def test_a_message_at_the_wrong_rate_is_named_with_both_periods() -> None:
     frames = [f for f in NOMINAL if f.can_id != 0x521 or f.t_ns // (10 * MS) % 2]
     found = only(frames, "period")
-    assert "comes every 20.00 ms, but should every 10 ms" in found.words
+    assert "comes every 20.00 ms instead of every 10 ms" in found.words
 
 
 def test_a_frame_of_the_wrong_length_is_a_problem_with_its_count() -> None:

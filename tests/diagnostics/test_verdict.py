@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from story_runs import Act, Run, after, branch, driving, hand_made, off
+from story_runs import Act, Run, after, branch, driving, in_order, of_ids, off, twice, without
 
 from fsai_hil.simulator.faults import Drop
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained, render
 from fsai_vcu.diagnostics.explain.signals import AS_STATE
+from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
@@ -25,6 +27,8 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS, S
+
+ALL = 2**64 - 1  # bits of a payload
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +41,44 @@ def judged(frames: Frames) -> Verdict:
     return judged_frames(frames).verdict
 
 
+def problems(frames: Frames) -> list[Finding]:
+    return [finding for finding in judged(frames).findings if finding.severity == "problem"]
+
+
 def kinds(frames: Frames) -> list[str]:
-    return [finding.kind for finding in judged(frames).findings if finding.severity == "problem"]
+    return [finding.kind for finding in problems(frames)]
 
 
-def in_order(*parts: Frames) -> Frames:
-    whole = joined(parts)
-    return whole.only(np.argsort(whole.t_ns, kind="stable"))
+def found(frames: Frames, kind: str) -> list[Finding]:
+    """All findings of a kind, notes too."""
+    return [finding for finding in judged(frames).findings if finding.kind == kind]
+
+
+def ago(frames: Frames, ms: int) -> int:
+    """The time so long before the last frame."""
+    return int(frames.t_ns[-1]) - ms * MS
+
+
+def stopped(frames: Frames, *ids: int) -> Frames:
+    """Without these in the last second."""
+    return frames.only(~np.isin(frames.can_id, ids) | (frames.t_ns < ago(frames, 1000)))
+
+
+def paused(frames: Frames, begin_ns: int, ms: int) -> Frames:
+    """Without all that came within so long."""
+    return frames.only((frames.t_ns <= begin_ns) | (frames.t_ns > begin_ns + ms * MS))
+
+
+def patched(frames: Frames, can_id: int, mask: int, bits: int, begin_ns: int = 0, length_ns: int = 2**62) -> Frames:
+    """With these bits of that message's little-endian payload for so long."""
+    rows = (frames.can_id == can_id) & (frames.t_ns >= begin_ns) & (frames.t_ns < begin_ns + length_ns)
+    return replace(frames, word=np.where(rows, frames.word & np.uint64(~mask & ALL) | np.uint64(bits), frames.word))
+
+
+def repeating(frames: Frames, can_id: int, begin_ns: int, all_along: bool = False) -> Frames:
+    """With the last payload before that time from then on, or in all frames of that identifier."""
+    word = int(frames.word[(frames.can_id == can_id) & (frames.t_ns < begin_ns)][-1])
+    return patched(frames, can_id, ALL, word, 0 if all_along else begin_ns)
 
 
 @pytest.mark.parametrize("batch_ns", [1, 5 * MS, 20 * MS, 50 * MS])
@@ -53,8 +88,7 @@ def test_a_sound_drive_is_ok_in_an_adapters_batches_too(drive: Frames, batch_ns:
 
 
 def test_verbs_that_judge_a_log_have_one_exit_status(drive: Frames, tmp_path: Path) -> None:
-    spoilt = drive.only((drive.can_id != 0x525) | (drive.t_ns < drive.t_ns[-1] - S))
-    for frames, status in ((drive, 0), (spoilt, 1)):
+    for frames, status in ((drive, 0), (stopped(drive, 0x525), 1)):
         path, page = tmp_path / "run.log", tmp_path / "run.html"
         path.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
         assert [main([verb, str(path)]) for verb in ("check", "explain")] == [status] * 2
@@ -67,18 +101,13 @@ def test_verbs_that_judge_a_log_have_one_exit_status(drive: Frames, tmp_path: Pa
 def spoilt_drives(drive: Frames) -> dict[str, tuple[Frames, float]]:
     """Logs with something wrong in them, and when it begins, in seconds since their first frame."""
     silent = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 3.0)
-    ours = drive.only(np.isin(drive.can_id, AI_IDS) & (drive.t_ns > drive.t_ns[-1] - 3 * S))
-    two = in_order(drive, replace(ours, t_ns=ours.t_ns + 4 * MS))
-    word = int(drive.word[(drive.can_id == 0x520) & (drive.t_ns < drive.t_ns[-1] - 3 * S)][-1])
-    frozen = patched(drive, 0x520, 2**64 - 1, word, int(drive.t_ns[-1]) - 3 * S, 4 * S)
-    paused = drive.only(abs(drive.t_ns - (drive.t_ns[-1] - 2900 * MS)) > 100 * MS)
     end_s = (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S
     silent_s = (silent.injected_ns - int(silent.frames.t_ns[0])) / S
     return {
         "braked": (silent.frames, silent_s),
-        "two senders": (two, end_s - 3.0),
-        "frozen": (frozen, end_s - 3.0),
-        "a pause": (paused, end_s - 3.0),
+        "two senders": (twice(drive, of_ids(drive, AI_IDS, ago(drive, 3000))), end_s - 3.0),
+        "frozen": (repeating(drive, 0x520, ago(drive, 3000)), end_s - 3.0),
+        "a pause": (paused(drive, ago(drive, 3000), 200), end_s - 3.0),
     }
 
 
@@ -111,13 +140,12 @@ def test_of_a_part_all_verbs_give_one_verdict(
 
 @pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x521, 0x527)])
 def test_a_message_that_stops_for_good_is_a_problem(drive: Frames, can_id: int) -> None:
-    stopped = drive.only((drive.can_id != can_id) | (drive.t_ns < drive.t_ns[-1] - S))
-    assert "stopped" in kinds(stopped)
+    assert "stopped" in kinds(stopped(drive, can_id))
 
 
 @pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x521, 0x527)])
 def test_a_missing_message_is_no_mismatch_of_the_car(drive: Frames, can_id: int) -> None:
-    assert "not_as_asked" not in kinds(drive.only(drive.can_id != can_id))
+    assert "not_as_asked" not in kinds(without(drive, can_id))
 
 
 def test_a_database_that_is_not_the_cars_is_unknown(drive: Frames, tmp_path: Path) -> None:
@@ -148,18 +176,15 @@ def test_a_log_without_times_has_no_second_sender(drive: Frames) -> None:
 
 
 def test_two_bridges_at_once_are_one_finding(drive: Frames) -> None:
-    ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
-    verdict = judged(in_order(drive, replace(ours, t_ns=ours.t_ns + 4 * MS)))
-    (found,) = [finding for finding in verdict.findings if finding.kind == "intruder"]
-    assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514)
-    assert "200 frames a second" in found.words
-    assert not [finding for finding in verdict.findings if finding.kind == "period"]
+    two = twice(drive, of_ids(drive, AI_IDS))
+    (intruder,) = found(two, "intruder")
+    assert intruder.can_ids == AI_IDS and "200 frames a second" in intruder.words
+    assert not found(two, "period")
 
 
 def test_what_two_senders_say_by_turns_is_one_line(drive: Frames) -> None:
-    ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
-    idle = replace(ours, t_ns=ours.t_ns + 4 * MS, word=np.zeros_like(ours.word))
-    events = explained(Record(in_order(drive, idle))).events
+    ours = of_ids(drive, AI_IDS)
+    events = explained(Record(twice(drive, replace(ours, word=np.zeros_like(ours.word))))).events
     (told,) = [event for event in events if "more changes of it" in event.text and event.signal == "MISSION_STATUS"]
     assert " SELECTED; " in told.text and len(events) < 60
 
@@ -169,66 +194,55 @@ def test_one_who_repeats_our_own_frames_is_told_by_rate(drive: Frames, period_ms
     begin_ns = int(drive.t_ns[0]) + 2 * S
     then = (drive.t_ns >= begin_ns) & (drive.t_ns < begin_ns + 3 * S)
     spoilt = drive
-    for can_id in range(0x510, 0x515):
+    for can_id in AI_IDS:
         copied = drive.only(np.flatnonzero(then & (drive.can_id == can_id))[:: period_ms // 10])
-        spoilt = in_order(spoilt, replace(copied, t_ns=copied.t_ns + 3 * MS))
-    (found,) = [finding for finding in judged(spoilt).findings if finding.kind == "intruder"]
-    assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514) and f": {rate} frames a second" in found.words
-    assert found.t_ns is not None and abs(found.t_ns - begin_ns) <= PERIOD_NS
+        spoilt = twice(spoilt, copied, 3 * MS)
+    (intruder,) = found(spoilt, "intruder")
+    assert intruder.can_ids == AI_IDS and f": {rate} frames a second" in intruder.words
+    assert intruder.t_ns is not None and abs(intruder.t_ns - begin_ns) <= PERIOD_NS
 
 
 def test_one_who_repeats_our_frames_all_along_is_a_wrong_rate(drive: Frames) -> None:
-    ours = np.flatnonzero(drive.can_id == 0x514)[::5]
-    again = drive.only(ours)
-    findings = judged(in_order(drive, replace(again, t_ns=again.t_ns + 3 * MS))).findings
-    (found,) = [finding for finding in findings if finding.severity == "problem"]
-    assert "120 times a second, but should 100 times: a wrong period, or a second sender" in found.words
+    again = drive.only(np.flatnonzero(drive.can_id == 0x514)[::5])
+    (problem,) = problems(twice(drive, again, 3 * MS))
+    assert "comes at 120 Hz instead of 100 Hz: a wrong period, or a second sender" in problem.words
 
 
 @pytest.mark.parametrize(("can_id", "data"), [(0x510, "0500"), (0x511, "f401"), (0x513, "9cff"), (0x514, "6464")])
 def test_one_frame_that_contradicts_its_neighbours_is_told(drive: Frames, can_id: int, data: str) -> None:
     row = int(np.flatnonzero(drive.can_id == can_id)[-50])
-    length = int(drive.length[row])
-    stranger = hand_made(
-        [(int(drive.t_ns[row]) / 1e9 + 0.004, can_id, (bytes.fromhex(data) + bytes(8))[:length].hex())]
-    )
-    spoilt = in_order(drive, replace(stranger, channels=drive.channels))
-    (found,) = [finding for finding in judged(spoilt).findings if finding.kind == "intruder"]
-    assert found.can_ids == (can_id,)
+    stranger = drive.only(np.array([row]))
+    word = np.array([int.from_bytes(bytes.fromhex(data), "little")], np.uint64)
+    (intruder,) = found(twice(drive, replace(stranger, word=word)), "intruder")
+    assert intruder.can_ids == (can_id,)
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "words"),
+    ("ids", "words"),
     [
-        (0x520, 0x520, "no 0x520 was received"),
-        (0x520, 0x526, "no 0x520 was received"),
-        (0x510, 0x514, "no frame of the AI computer"),
+        ([0x520], "no 0x520 was received"),
+        (VCU_IDS, "no 0x520 was received"),
+        (AI_IDS, "no frame of the AI computer"),
     ],
 )
-def test_what_cannot_be_known_is_not_ok(drive: Frames, low: int, high: int, words: str) -> None:
-    verdict = judged(drive.only((drive.can_id < low) | (drive.can_id > high)))
+def test_what_cannot_be_known_is_not_ok(drive: Frames, ids: Sequence[int], words: str) -> None:
+    verdict = judged(without(drive, *ids))
     assert verdict.status == 1
     assert verdict.line().startswith(f"UNKNOWN: {words}")
 
 
 def test_a_status_that_repeats_itself_is_no_quiet_car(drive: Frames) -> None:
-    begin_ns = int(drive.t_ns[-1]) - S
-    word = int(drive.word[(drive.can_id == 0x520) & (drive.t_ns < begin_ns)][-1])
-    frozen = patched(drive, 0x520, 2**64 - 1, word, begin_ns, 2 * S)
-    (found,) = [one for one in judged(frozen).findings if one.severity == "problem"]
-    assert found.words.startswith("0x520 repeats itself for 1.00 s in AS_DRIVING") and found.remedy
-    assert found.t_ns is not None and abs(found.t_ns - begin_ns) <= 10 * MS
-    paused = drive.only(abs(drive.t_ns - begin_ns) > S // 2)
-    assert kinds(paused) == ["gap"], "a bus that is silent says nothing of the VCU"
-    whole = patched(drive, 0x520, 2**64 - 1, word, 0, 2**62)
-    assert "frozen" in kinds(whole)
+    begin_ns = ago(drive, 1000)
+    (problem,) = problems(repeating(drive, 0x520, begin_ns))
+    assert problem.words.startswith("0x520 repeats itself for 1.00 s in AS_DRIVING") and problem.remedy
+    assert problem.t_ns is not None and abs(problem.t_ns - begin_ns) <= 10 * MS
+    assert kinds(paused(drive, ago(drive, 1500), 1000)) == ["gap"], "a bus that is silent says nothing of the VCU"
+    assert "frozen" in kinds(repeating(drive, 0x520, begin_ns, all_along=True))
 
 
 def test_a_status_that_repeats_itself_before_a_drive_is_told() -> None:
     waiting = branch(off(), lambda run: None, 1.0)
-    begin_ns = waiting.injected_ns
-    word = int(waiting.frames.word[(waiting.frames.can_id == 0x520) & (waiting.frames.t_ns < begin_ns)][-1])
-    frozen = patched(waiting.frames, 0x520, 2**64 - 1, word, begin_ns, 3 * S)
+    frozen = repeating(waiting.frames, 0x520, waiting.injected_ns)
     assert ("frozen" in kinds(frozen), "frozen" in kinds(waiting.frames)) == (True, False)
 
 
@@ -243,16 +257,16 @@ def waiting() -> Frames:
 def test_a_status_frozen_from_the_first_frame_on_is_told(length_s: int, kind: str, bit: int) -> None:
     sound = after(waiting(), int(waiting().t_ns[-1]) - length_s * S)
     word = next(int(word) for word in sound.word[sound.can_id == 0x520] if int(word) & 1 == bit)
-    frozen = patched(sound, 0x520, 2**64 - 1, word, 0, 2**62)
-    for frames in (frozen, patched(frozen, 0x510, 1, bit, 0, 2**62)):
-        (found,) = [one for one in judged(frames).findings if one.severity == "problem"]
-        assert found.kind == kind and "the VCU hung" in found.words
-    comes_up = patched(frozen, 0x520, 0xF << 16, 0, 0, 2**62)
+    frozen = patched(sound, 0x520, ALL, word)
+    for frames in (frozen, patched(frozen, 0x510, 1, bit)):
+        (problem,) = problems(frames)
+        assert problem.kind == kind and "the VCU hung" in problem.words
+    comes_up = patched(frozen, 0x520, 0xF << 16, 0)
     for allowed in (
         sound,
-        patched(frozen, 0x510, 1, 1 - bit, 0, 2**62),  # the VCU waits for an echo
-        patched(frozen, 0x520, 1 << 45, 1 << 45, 0, 2**62),  # it says that it misses it
-        frozen.only(~np.isin(frozen.can_id, AI_IDS)),
+        patched(frozen, 0x510, 1, 1 - bit),  # the VCU waits for an echo
+        patched(frozen, 0x520, 1 << 45, 1 << 45),  # it says that it misses it
+        without(frozen, *AI_IDS),
         *([comes_up] if bit == 0 else []),  # the first HANDSHAKE that it sets is 1
     ):
         assert not [one for one in judged(allowed).findings if "the VCU hung" in one.words]
@@ -275,28 +289,27 @@ def test_toggles_that_were_not_recorded_are_no_frozen_status(drive: Frames, ever
 def test_a_vcu_alone_is_no_frozen_one(seen: str) -> None:
     alone = branch(off(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 2.0)
     frames = alone.frames if seen == "with its end" else after(alone.frames, alone.injected_ns + 100 * MS)
-    handshake = frames.only((frames.can_id == 0x520) & (frames.t_ns > alone.injected_ns + 100 * MS)).word & np.uint64(1)
+    handshake = of_ids(frames, [0x520], alone.injected_ns + 100 * MS).word & np.uint64(1)
     assert len(handshake) > 100 and len(np.unique(handshake)) == 1, "it waits for an echo"
-    assert "frozen" not in [finding.kind for finding in judged(frames).findings]
+    assert not found(frames, "frozen")
 
 
 @pytest.mark.parametrize("toggles_s", [0.0, 1.0])
 def test_a_manual_drive_is_no_frozen_vcu(drive: Frames, toggles_s: float) -> None:
     """ASMS off, AS_OFF, 0x520 repeats itself and its HANDSHAKE is echoed: it froze, or the car is driven by hand."""
     begin_ns = int(drive.t_ns[drive.can_id == 0x520][0] + toggles_s * S)
-    by_hand = patched(drive, 0x520, 1 << 9 | 0xF << 16, 1 << 16, 0, 2**62)
-    by_hand = patched(by_hand, 0x520, 2**64 - 1, 1 << 16, begin_ns, 2**62)
-    by_hand = patched(by_hand, 0x510, 1, 0, begin_ns, 2**62)
+    by_hand = patched(drive, 0x520, 1 << 9 | 0xF << 16, 1 << 16)
+    by_hand = patched(by_hand, 0x520, ALL, 1 << 16, begin_ns)
+    by_hand = patched(by_hand, 0x510, 1, 0, begin_ns)
     (unknown,) = judged(by_hand).unknown
-    assert not judged(by_hand).problems and "the VCU froze, or" in unknown
-    alone = by_hand.only(~np.isin(by_hand.can_id, AI_IDS))
-    assert not [words for words in judged(alone).unknown if "froze" in words], "it waits for an echo"
+    assert not problems(by_hand) and "the VCU froze, or" in unknown
+    alone = judged(without(by_hand, *AI_IDS))
+    assert not [words for words in alone.unknown if "froze" in words], "it waits for an echo"
 
 
 def test_a_pause_of_everybody_is_one_finding_of_its_moment(drive: Frames) -> None:
-    begin_ns = int(drive.t_ns[-1]) - 1 * S
-    verdict = judged(drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 40 * MS)))
-    (pause,) = [finding for finding in verdict.findings if finding.kind == "gap"]
+    begin_ns = ago(drive, 1000)
+    (pause,) = found(paused(drive, begin_ns, 40), "gap")
     assert 40 <= int(pause.words.removeprefix("a pause of ").split()[0]) <= 50, "not that of the slowest message"
     assert pause.t_ns is not None and abs(pause.t_ns - begin_ns) < 20 * MS
 
@@ -311,22 +324,18 @@ def test_what_a_cause_names_is_not_a_second_problem(act: Act) -> None:
 
 
 def test_a_gap_that_lasts_into_a_part_is_measured_whole(drive: Frames) -> None:
-    begin_ns, end_s = int(drive.t_ns[-1]) - 2 * S, (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S
-    paused = drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 500 * MS))
-    (finding,) = [
-        finding
-        for finding in judged_frames(paused, part=Part(f"{end_s - 1.8}")).verdict.findings
-        if finding.severity == "problem"
-    ]
+    begin_ns, end_s = ago(drive, 2000), (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S
+    verdict = judged_frames(paused(drive, begin_ns, 500), part=Part(f"{end_s - 1.8}")).verdict
+    (finding,) = [finding for finding in verdict.findings if finding.severity == "problem"]
     assert 500 <= int(finding.words.removeprefix("a pause of ").split()[0]) <= 520
     assert finding.t_ns is not None and abs(finding.t_ns - begin_ns) <= PERIOD_NS
 
 
 def test_the_end_of_a_part_is_not_called_the_logs(drive: Frames) -> None:
-    stopped = drive.only((drive.can_id < 0x520) | (drive.can_id > 0x526) | (drive.t_ns < drive.t_ns[-1] - S))
-    assert "stopped" in kinds(stopped)
+    silent = stopped(drive, *VCU_IDS)
+    assert "stopped" in kinds(silent)
     end_s = (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S - 0.2
-    verdict = judged_frames(stopped, part=Part(None, f"{end_s}")).verdict
+    verdict = judged_frames(silent, part=Part(None, f"{end_s}")).verdict
     (told,) = [finding.words for finding in verdict.findings if finding.kind == "stopped"]
     assert told == "the car is silent for the last 0.8 s"
     explanation = verdict.explanation
@@ -335,27 +344,21 @@ def test_the_end_of_a_part_is_not_called_the_logs(drive: Frames) -> None:
 
 
 def test_a_dead_bus_and_its_error_frames_are_one_finding(drive: Frames) -> None:
-    begin_ns = int(drive.t_ns[-1]) - S
-    paused = drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 500 * MS))
-    row = int(np.searchsorted(paused.t_ns, begin_ns, side="right")) - 1
-    columns = replace(paused, can_id=paused.can_id.copy(), flags=paused.flags.copy())
-    columns.can_id[row], columns.flags[row] = 0x40, ERROR
-    (found,) = [finding for finding in judged(columns).findings if finding.severity == "problem"]
-    assert found.words.startswith("a pause of ") and found.words.endswith(", and 1 error frame: bus-off")
+    dead = paused(drive, ago(drive, 1000), 500)
+    row = int(np.searchsorted(dead.t_ns, ago(drive, 1000), side="right")) - 1
+    dead.can_id[row], dead.flags[row] = 0x40, ERROR
+    (problem,) = problems(dead)
+    assert problem.words.startswith("a pause of ") and problem.words.endswith(", and 1 error frame: bus-off")
 
 
 def test_every_problem_says_what_to_do(drive: Frames, spoilt_drives: dict[str, tuple[Frames, float]]) -> None:
     late = drive.t_ns > drive.t_ns[-1] - S
     spoilt = [frames for frames, _ in spoilt_drives.values()]
-    spoilt += [drive.only(~late | ~np.isin(drive.can_id, ids)) for ids in (AI_IDS, VCU_IDS, [0x525])]
-    spoilt += [
-        drive.only(drive.can_id != 0x525),
-        replace(drive, length=np.where(late, 3, drive.length).astype(np.uint8)),
-    ]
+    spoilt += [stopped(drive, *ids) for ids in (AI_IDS, VCU_IDS, [0x525])]
+    spoilt += [without(drive, 0x525), replace(drive, length=np.where(late, 3, drive.length).astype(np.uint8))]
     for frames in spoilt:
-        problems = [finding for finding in judged(frames).findings if finding.severity == "problem"]
-        assert problems and all(finding.remedy for finding in problems), problems
-    lacking = judged(drive.only(~np.isin(drive.can_id, [0x523, 0x525])))
+        assert problems(frames) and all(finding.remedy for finding in problems(frames)), problems(frames)
+    lacking = judged(without(drive, 0x523, 0x525))
     first, second, remedy, *_ = lacking.lines()
     assert "0x523" in first and "0x525" in second and remedy.startswith("    what to do: ")
 
@@ -364,9 +367,9 @@ def test_error_frames_are_one_finding_with_their_moment(drive: Frames) -> None:
     rows = [-900, -500]
     drive = replace(drive, can_id=drive.can_id.copy(), flags=drive.flags.copy())
     drive.can_id[rows], drive.flags[rows] = (0x40, 0x80), ERROR
-    (found,) = [finding for finding in judged(drive).findings if finding.severity == "problem"]
-    assert found.words.startswith("2 error frames: 1 bus-off; 1 ")
-    assert found.t_ns == drive.t_ns[-900] and found.remedy
+    (problem,) = problems(drive)
+    assert problem.words.startswith("2 error frames: 1 bus-off; 1 ")
+    assert problem.t_ns == drive.t_ns[-900] and problem.remedy
 
 
 @pytest.mark.parametrize(("share", "severity"), [(0.1, "problem"), (0.004, "note")])
@@ -379,7 +382,7 @@ def test_a_recording_that_loses_frames_is_one_finding(drive: Frames, share: floa
 def test_pauses_of_everybody_are_no_lost_frames(drive: Frames) -> None:
     of_run_s = (drive.t_ns - drive.t_ns[0]) / S
     t_ns = drive.t_ns + np.searchsorted([3.0, 4.0, 5.0, 6.0], of_run_s, side="right") * 5 * S
-    assert "lossy" not in {finding.kind for finding in judged(replace(drive, t_ns=t_ns)).findings}
+    assert not found(drive.at(t_ns), "lossy")
 
 
 def test_a_clock_set_back_is_no_second_car(drive: Frames) -> None:
@@ -410,24 +413,23 @@ def test_one_frame_with_a_wrong_time_moves_no_other(drive: Frames) -> None:
 def test_two_cars_are_one_finding_and_no_cause(
     drive: Frames, ids: tuple[int, ...], content: str, late_s: float
 ) -> None:
-    other = drive.only(np.isin(drive.can_id, ids) & (drive.t_ns >= drive.t_ns[0] + late_s * S))
+    other = of_ids(drive, ids, int(drive.t_ns[0] + late_s * S))
     begin_ns = int(other.t_ns[0])
     if content == "AS_OFF":
         idle = np.uint64(int.from_bytes(bytes.fromhex("2010013020"), "little"))
         other = replace(other, word=np.where(other.can_id == 0x520, idle, np.uint64(0)))
-    verdict = judged(in_order(drive, replace(other, t_ns=other.t_ns + 4 * MS)))
-    (found,) = [finding for finding in verdict.findings if finding.severity == "problem"]
-    assert found.words.startswith("somebody else sends the car's messages: 0x520") and found.can_ids == ids
-    assert found.t_ns is not None and -100 * MS <= found.t_ns - begin_ns <= 10 * MS
-    assert f"200 frames a second for {(drive.t_ns[-1] - found.t_ns) / S:.1f} s" in found.words
+    verdict = judged(twice(drive, other))
+    (problem,) = [finding for finding in verdict.findings if finding.severity == "problem"]
+    assert problem.words.startswith("somebody else sends the car's messages: 0x520") and problem.can_ids == ids
+    assert problem.t_ns is not None and -100 * MS <= problem.t_ns - begin_ns <= 10 * MS
+    assert f"200 frames a second for {(drive.t_ns[-1] - problem.t_ns) / S:.1f} s" in problem.words
     assert not verdict.explanation.incidents and "two cars" in render.verdict(verdict.explanation)
     assert any("two cars were on the bus from" in note for note in verdict.explanation.problems)
 
 
 def test_a_cause_before_the_second_car_is_told() -> None:
     frames = branch(driving(), lambda run: run.spoil(Drop(frozenset(AI_IDS))), 2.0).frames
-    other = frames.only((frames.can_id == 0x520) & (frames.t_ns >= frames.t_ns[-1] - S))
-    assert kinds(in_order(frames, replace(other, t_ns=other.t_ns + 4 * MS))) == ["emergency_brake", "intruder"]
+    assert kinds(twice(frames, of_ids(frames, [0x520], ago(frames, 1000)))) == ["emergency_brake", "intruder"]
 
 
 def test_a_cause_between_two_looks_of_a_second_car_is_told() -> None:
@@ -435,8 +437,7 @@ def test_a_cause_between_two_looks_of_a_second_car_is_told() -> None:
     since_s = (frames.t_ns - frames.t_ns[0]) / S
     seen = ((since_s > 8.0) & (since_s < 8.5)) | (since_s > since_s[-1] - 1.0)
     other = frames.only((frames.can_id == 0x520) & seen)
-    found = kinds(in_order(frames, replace(other, t_ns=other.t_ns + 4 * MS)))
-    assert found == ["intruder", "emergency_brake", "intruder"]
+    assert kinds(twice(frames, other)) == ["intruder", "emergency_brake", "intruder"]
 
 
 def test_what_an_adapter_held_back_is_no_second_car(drive: Frames) -> None:
@@ -452,9 +453,8 @@ def test_many_incidents_of_one_cause_are_one_line() -> None:
 
 
 def test_of_two_who_ask_no_mismatch_is_told(drive: Frames) -> None:
-    ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
-    zeros = replace(ours, t_ns=ours.t_ns + 1, word=np.zeros_like(ours.word))
-    assert kinds(in_order(drive, zeros)) == ["intruder"]
+    ours = of_ids(drive, AI_IDS)
+    assert kinds(twice(drive, replace(ours, word=np.zeros_like(ours.word)), 1)) == ["intruder"]
 
 
 def test_columns_can_be_compared_without_an_error(drive: Frames) -> None:
@@ -471,7 +471,7 @@ def test_frames_out_of_order_do_not_move_what_follows(drive: Frames) -> None:
 
 def changed(drive: Frames, can_id: int, data: str, since_ns: int) -> Frames:
     """From then on all frames of that id say this."""
-    return patched(drive, can_id, 2**64 - 1, int.from_bytes(bytes.fromhex(data), "little"), since_ns, 2**62)
+    return patched(drive, can_id, ALL, int.from_bytes(bytes.fromhex(data), "little"), since_ns)
 
 
 @pytest.mark.parametrize(
@@ -484,22 +484,13 @@ def changed(drive: Frames, can_id: int, data: str, since_ns: int) -> Frames:
     ],
 )
 def test_what_the_car_does_not_do_as_asked_is_named(drive: Frames, can_id: int, data: str, slug: str) -> None:
-    story = explained(Record(changed(drive, can_id, data, int(drive.t_ns[-1]) - 1900 * MS)))
-    found = {i.candidates[0].slug for i in story.incidents if i.kind is IncidentKind.MISMATCH}
-    assert slug in found
+    story = explained(Record(changed(drive, can_id, data, ago(drive, 1900))))
+    assert slug in {i.candidates[0].slug for i in story.incidents if i.kind is IncidentKind.MISMATCH}
 
 
 def test_while_the_status_is_frozen_no_mismatch_is_told(spoilt_drives: dict[str, tuple[Frames, float]]) -> None:
     frozen, _ = spoilt_drives["frozen"]
-    assert kinds(changed(frozen, 0x524, "8080", int(frozen.t_ns[-1]) - 1900 * MS)) == ["frozen"]
-
-
-def patched(frames: Frames, can_id: int, mask: int, bits: int, begin_ns: int, length_ns: int) -> Frames:
-    """With these bits of that message's little-endian payload for so long."""
-    rows = (frames.can_id == can_id) & (frames.t_ns >= begin_ns) & (frames.t_ns < begin_ns + length_ns)
-    return replace(
-        frames, word=np.where(rows, frames.word & np.uint64(~mask & (2**64 - 1)) | np.uint64(bits), frames.word)
-    )
+    assert kinds(changed(frozen, 0x524, "8080", ago(frozen, 1900))) == ["frozen"]
 
 
 @pytest.mark.parametrize(
@@ -511,16 +502,15 @@ def patched(frames: Frames, can_id: int, mask: int, bits: int, begin_ns: int, le
     ],
 )
 def test_what_the_car_does_in_passing_is_noted(drive: Frames, can_id: int, mask: int, words: str) -> None:
-    verdict = judged(patched(drive, can_id, mask, 0, int(drive.t_ns[-1]) - S, 40 * MS))
+    verdict = judged(patched(drive, can_id, mask, 0, ago(drive, 1000), 40 * MS))
     (finding,) = (one for one in verdict.findings if words in one.words)
     assert finding.severity == "note" and verdict.ok
     assert 0 <= (finding.t_ns or 0) - (drive.t_ns[-1] - S) < 10 * MS
 
 
 def test_without_wheel_speeds_no_pulse_count_is_judged(drive: Frames) -> None:
-    since_ns = int(drive.t_ns[-1]) - 1500 * MS
-    word = int(drive.word[(drive.can_id == 0x526) & (drive.t_ns < since_ns)][-1])
-    held = patched(drive, 0x526, 2**64 - 1, word, since_ns, 2 * S)
+    since_ns = ago(drive, 1500)
+    held = repeating(drive, 0x526, since_ns)
     assert "frozen" in kinds(held)
     assert "frozen" not in kinds(held.only((held.can_id != 0x525) | (held.t_ns < since_ns)))
 
@@ -532,13 +522,13 @@ def test_frames_out_of_order_are_no_restart(drive: Frames, steps: int) -> None:
         rows = np.flatnonzero(drive.can_id == can_id)
         swapped = np.arange(len(rows) - len(rows) % (steps + 1)).reshape(-1, steps + 1)[:, ::-1].ravel()
         word[rows[: len(swapped)]] = drive.word[rows[swapped]]
-    assert "restart" not in [one.kind for one in judged(replace(drive, word=word)).findings]
+    assert not found(replace(drive, word=word), "restart")
 
 
 def test_a_wheel_that_rolls_back_is_no_restart(drive: Frames) -> None:
-    back = patched(drive, 0x526, 0xFFFF, 15, int(drive.t_ns[-1]) - S // 2, S)
+    back = patched(drive, 0x526, 0xFFFF, 15, ago(drive, 500))
     back = patched(back, 0x526, 0xFFFF, 16, int(drive.t_ns[0]), drive.t_ns[-1] - drive.t_ns[0] - S // 2)
-    assert "restart" not in [one.kind for one in judged(back).findings]
+    assert not found(back, "restart")
 
 
 def test_a_car_on_another_bus_is_not_called_ok(drive: Frames) -> None:
@@ -546,9 +536,8 @@ def test_a_car_on_another_bus_is_not_called_ok(drive: Frames) -> None:
     first = replace(drive, channels=["can0", "can1"])
     verdict = judged(in_order(first, other.only(other.t_ns > drive.t_ns[0] + S)))
     assert verdict.line().startswith("UNKNOWN: 0x520 is on can1 too: only the car on can0 was judged")
-    sensors = judged(in_order(first, other.only(~np.isin(other.can_id, VCU_IDS))))
-    assert not sensors.unknown
-    devices = judged(in_order(first, other.only(~np.isin(other.can_id, [*AI_IDS, *VCU_IDS]))))
+    assert not judged(in_order(first, without(other, *VCU_IDS))).unknown
+    devices = judged(in_order(first, without(other, *AI_IDS, *VCU_IDS)))
     assert devices.ok, "a bus of sensors lacks nothing of the car's"
     gone = in_order(first.only(first.t_ns < drive.t_ns[-1] - 2 * S), other.only(other.t_ns > drive.t_ns[-1] - 2 * S))
     seconds = (int(drive.t_ns[-1]) - int(drive.t_ns[0])) / S
@@ -558,8 +547,7 @@ def test_a_car_on_another_bus_is_not_called_ok(drive: Frames) -> None:
 
 def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:
     begin_ns = int(drive.t_ns[0]) + 3 * S
-    state = 0b1111 << 16
-    early = patched(drive, 0x520, state, 1 << 16, begin_ns, 300 * MS)  # AS_OFF, then AS_INIT again
+    early = patched(drive, 0x520, 0xF << 16, 1 << 16, begin_ns, 300 * MS)  # AS_OFF, then AS_INIT again
     texts = [one.words for one in judged(early).findings if one.severity == "note"]
     assert "the VCU started again: AS_STATE AS_OFF → AS_INIT" in texts
 
@@ -567,4 +555,4 @@ def test_a_car_that_starts_anew_in_as_init_is_noted(drive: Frames) -> None:
 def test_a_car_that_was_switched_off_has_not_restarted(drive: Frames) -> None:
     ended = drive.only(drive.t_ns < drive.t_ns[-1] - S)
     again = ended.at(ended.t_ns + (ended.t_ns[-1] - ended.t_ns[0]) + 10 * S)
-    assert "restart" not in [one.kind for one in judged(joined([ended, again])).findings]
+    assert not found(joined([ended, again]), "restart")

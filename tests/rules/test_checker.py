@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Callable, Iterable
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -138,6 +137,42 @@ class Sender(SmallCar):
         self.now_ns += (ms - 10) * MS
         return self.cycle(command)
 
+    def stood(self) -> Any:
+        """In AS_DRIVING, and at rest for long enough."""
+        return self.driving().cycle(drive(), 10).has(rpm=0).cycle(RUNNING, 52)
+
+    def went(self) -> Any:
+        return self.driving().has(rpm=100).cycle(RUNNING, 2)
+
+    def quiet(self, *, echoed: bool) -> Any:
+        """Torque after a brake and one cycle without both."""
+        self.driving().cycle(braked(RUNNING), 3).cycle(RUNNING)
+        return self.has(mute=() if echoed else (VcuBrake,)).cycle(drive())
+
+    def deaf(self, kind: type, cycles: int, then: AiCommand) -> Any:
+        return self.driving().cycle(drive(), 3).has(mute=(kind,)).cycle(then, cycles)
+
+    def unknown(self, as_state: int, said: AiCommand | None = None) -> Any:
+        return self.driving().cycle(drive()).unknown_now(as_state, said)
+
+    def unknown_now(self, as_state: int, said: AiCommand | None = None) -> Any:
+        self.now_ns += 10 * MS
+        frame = CODEC.encode(replace(self.status, t_rx_ns=self.now_ns))
+        self.puts(replace(frame, data=frame.data[:2] + bytes((0x40 | as_state,)) + frame.data[3:]))
+        return self.cycle(said or drive(), car=False)
+
+    def fast(self, rpm: int, torque_nm: float) -> Any:
+        self.driving().cycle(drive()).has(rpm=300).cycle(drive(), 60)
+        return self.has(rpm=rpm).cycle(drive(50.0), 2).cycle(drive(torque_nm))
+
+    def after(self, as_state: AsState, said: AiCommand, rpm: int = 0) -> Any:
+        return self.cycle(IDLE, 60).has(rpm=rpm).state(as_state).cycle(said, 2)
+
+    def lost(self, torque: bool) -> Any:
+        self.driving().checker.on_bus_lost(self.now_ns)
+        self.checker.on_bus_back(self.now_ns)
+        return self.cycle(drive() if torque else RUNNING)
+
     @property
     def rules(self) -> list[str]:
         return [violation.rule for _, violation in self.checker.found]
@@ -190,94 +225,76 @@ class Fed(Sender):
         self.ready().state(DRIVING).cycle(braked(RUNNING), 300).cycle(RUNNING)
         return self.cycle(drive(), 20).has(rpm=100)
 
+    def ended(self, last: AiCommand, cycles: int) -> Any:
+        self.driving().cycle(drive(), 3).checker.on_end()
+        return self.cycle(ASKING).cycle(last, cycles - 1)
 
-def exact(**process: Any) -> Fed:
-    """Nothing that can stop it is hidden from the checker."""
-    fed = Fed(nothing_hidden=True, **process)
-    fed.command = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
-    return fed
+    def silent(self, cycles: int, then: AiCommand = RUNNING, mode: str = "autonomous") -> Any:
+        """The planner falls silent."""
+        self.driving().cycle(drive()).has(command=None).cycle(drive(), 9)
+        return self.cycle(RUNNING, cycles - 9).has(mode=mode).cycle(then)
+
+    def plan(self, cycles: int, then: AiCommand, **fields: Any) -> Any:
+        """The planner asks for something else than driving."""
+        assert self.command is not None
+        self.driving().cycle(drive(), 3).command = replace(self.command, **fields)
+        return self.cycle(then, cycles)
+
+    def stopped(self) -> Any:
+        """Manual was asked for, and the car has come to rest."""
+        self.driving().asks("manual").cycle(RUNNING)
+        return self.cycle(braked(RUNNING, 80.0)).has(rpm=0).cycle(braked(RUNNING, 80.0), 50)
+
+    def odd(self, cycles: int) -> Any:
+        self.driving()
+        self.odd_ns = self.now_ns + 10 * MS
+        return self.cycle(drive(), cycles + 1)
+
+    def contradicted(self, cycles: int) -> Any:
+        """Pulse counts run at 4 turns/s, and 0x525 says 0 rpm: not believed after some 200 ms, missing 100 ms later."""
+        self.driving().has(rpm=0, counts=0).cycle(drive())
+        for cycle in range(cycles):
+            self.has(counts=8 * cycle // 10).cycle(drive())
+        return self
 
 
-def stood(sender: Any) -> Any:
-    """In AS_DRIVING, and at rest for long enough."""
-    return sender.driving().cycle(drive(), 10).has(rpm=0).cycle(RUNNING, 52)
+class Then:
+    """What a sender is to do later, `then.cycle(IDLE)`, or what one just made is to do, `new.cycle(IDLE)`."""
+
+    def __init__(self, *steps: Callable[[Any], Any]) -> None:
+        self.steps = steps
+
+    def __getattr__(self, name: str) -> Callable[..., Then]:
+        return lambda *values, **named: Then(*self.steps, lambda sender: getattr(sender, name)(*values, **named))
+
+    def __call__(self, sender: Any = None) -> Any:
+        for step in self.steps:
+            sender = step(sender)
+        return sender
 
 
-def went(sender: Any) -> Any:
-    return sender.driving().has(rpm=100).cycle(RUNNING, 2)
-
-
-def quiet(sender: Any, *, echoed: bool) -> Any:
-    """Torque after a brake and one cycle without both."""
-    sender.driving().cycle(braked(RUNNING), 3).cycle(RUNNING)
-    return sender.has(mute=() if echoed else (VcuBrake,)).cycle(drive())
-
-
-def deaf(sender: Any, kind: type, cycles: int, then: AiCommand) -> Any:
-    return sender.driving().cycle(drive(), 3).has(mute=(kind,)).cycle(then, cycles)
-
-
-def unknown(sender: Any, as_state: int, said: AiCommand | None = None) -> Any:
-    return unknown_now(sender.driving().cycle(drive()), as_state, said)
-
-
-def unknown_now(sender: Any, as_state: int, said: AiCommand | None = None) -> Any:
-    sender.now_ns += 10 * MS
-    frame = CODEC.encode(replace(sender.status, t_rx_ns=sender.now_ns))
-    sender.puts(replace(frame, data=frame.data[:2] + bytes((0x40 | as_state,)) + frame.data[3:]))
-    return sender.cycle(said or drive(), car=False)
+then = Then()
+new, fed, exact = Then(lambda _: Sender()), Then(lambda _: Fed()), Then(lambda _: Fed(nothing_hidden=True))
+driving, idle = new.driving(), new.cycle(IDLE)
 
 
 def venue() -> Any:
     return Sender(limits=OperationalLimits(max_speed_mps=2.0, max_axle_torque_nm=40.0, max_steer_deg=0.3)).driving()
 
 
-def fast(sender: Sender, rpm: int, torque_nm: float) -> Any:
-    sender.driving().cycle(drive()).has(rpm=300).cycle(drive(), 60)
-    return sender.has(rpm=rpm).cycle(drive(50.0), 2).cycle(drive(torque_nm))
-
-
-def after(sender: Sender, as_state: AsState, said: AiCommand, rpm: int = 0) -> Any:
-    return sender.cycle(IDLE, 60).has(rpm=rpm).state(as_state).cycle(said, 2)
-
-
 def marked(**shown: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     """What 0x520 has shown since before the run says nothing; what turns in AS_DRIVING ends it."""
-    return lambda s: s.car(**shown).driving().cycle(drive()), lambda s: s.driving().car(**shown).cycle(drive())
+    return then.car(**shown).driving().cycle(drive()), then.driving().car(**shown).cycle(drive())
 
 
 def stale(kind: type, cycles: int) -> Callable[[], Any]:
-    return lambda: deaf(Fed(), kind, cycles - 1, drive())
+    return fed.deaf(kind, cycles - 1, drive())
 
 
 def lost_at(cycles: int) -> Callable[[Any], Any]:
     """The service brake for so long, then the emergency brake or yet another cycle."""
     last = BRAKING if cycles == 19 else STOPPING
-    return lambda s: s.cycle(drive()).cycle(RUNNING).cycle(STOPPING, 19).cycle(last)
-
-
-def ended(sender: Fed, last: AiCommand, cycles: int) -> Any:
-    sender.driving().cycle(drive(), 3).checker.on_end()
-    return sender.cycle(ASKING).cycle(last, cycles - 1)
-
-
-def lost(sender: Any, torque: bool) -> Any:
-    sender.driving().checker.on_bus_lost(sender.now_ns)
-    sender.checker.on_bus_back(sender.now_ns)
-    return sender.cycle(drive() if torque else RUNNING)
-
-
-def silent(sender: Fed, cycles: int, then: AiCommand = RUNNING, mode: str = "autonomous") -> Any:
-    """The planner falls silent."""
-    sender.driving().cycle(drive()).has(command=None).cycle(drive(), 9)
-    return sender.cycle(RUNNING, cycles - 9).has(mode=mode).cycle(then)
-
-
-def plan(sender: Fed, cycles: int, then: AiCommand, **fields: Any) -> Any:
-    """The planner asks for something else than driving."""
-    assert sender.command is not None
-    sender.driving().cycle(drive(), 3).command = replace(sender.command, **fields)
-    return sender.cycle(then, cycles)
+    return then.cycle(drive()).cycle(RUNNING).cycle(STOPPING, 19).cycle(last)
 
 
 def resets(as_state: AsState) -> Any:
@@ -295,26 +312,6 @@ def restarts(*, seen_anew: bool) -> Any:
     if seen_anew:
         sender.state(OFF).driving()
     return sender.cycle(RUNNING, 301).cycle(drive())
-
-
-def stopped(sender: Fed) -> Any:
-    """Manual was asked for, and the car has come to rest."""
-    sender.driving().asks("manual").cycle(RUNNING)
-    return sender.cycle(braked(RUNNING, 80.0)).has(rpm=0).cycle(braked(RUNNING, 80.0), 50)
-
-
-def odd(sender: Fed, cycles: int) -> Any:
-    sender.driving()
-    sender.odd_ns = sender.now_ns + 10 * MS
-    return sender.cycle(drive(), cycles + 1)
-
-
-def contradicted(sender: Fed, cycles: int) -> Any:
-    """The pulse counts run at 4 turns/s, and 0x525 says 0 rpm: not believed after some 200 ms, missing 100 ms later."""
-    sender.driving().has(rpm=0, counts=0).cycle(drive())
-    for cycle in range(cycles):
-        sender.has(counts=8 * cycle // 10).cycle(drive())
-    return sender
 
 
 def surely_odd(cycles: int, **measured: Any) -> Callable[[], Any]:
@@ -346,43 +343,13 @@ Make = Callable[[], Any]
 End = AiCommand | Callable[[Any], Any] | None  # another cycle that says this, or what is done
 
 
-def driving() -> Any:
-    return Sender().driving()
-
-
-def fed() -> Any:
-    return Fed().driving()
-
-
-def idle() -> Any:
-    return Sender().cycle(IDLE)
-
-
 def at(as_state: AsState) -> Make:
-    return lambda: Sender().cycle(IDLE, 60).state(as_state)
+    return new.cycle(IDLE, 60).state(as_state)
 
 
 def ended_by(start: Make, end: End) -> Any:
     sender = start()
     return sender if end is None else sender.cycle(end) if isinstance(end, AiCommand) else end(sender)
-
-
-class Then:
-    """What a sender is to do later: `then.cycle(IDLE)` for `lambda sender: sender.cycle(IDLE)`."""
-
-    def __init__(self, *steps: Callable[[Any], Any]) -> None:
-        self.steps = steps
-
-    def __getattr__(self, name: str) -> Callable[..., Then]:
-        return lambda *values, **named: Then(*self.steps, lambda sender: getattr(sender, name)(*values, **named))
-
-    def __call__(self, sender: Any) -> Any:
-        for step in self.steps:
-            sender = step(sender)
-        return sender
-
-
-then = Then()
 
 
 class Case(NamedTuple):
@@ -398,35 +365,33 @@ class Case(NamedTuple):
 
 CASES: list[tuple[str, str, Make, End, End]] = [
     Case("1", "both in one cycle").of(driving, drive(), braked(drive())),
-    Case("1", "torque after one quiet cycle").of(
-        Sender, lambda s: quiet(s, echoed=True), lambda s: quiet(s, echoed=False)
-    ),
+    Case("1", "torque after one quiet cycle").of(Sender, then.quiet(echoed=True), then.quiet(echoed=False)),
     Case("1", "torque after a cycle that was cut short").of(
-        lambda: Sender().driving().cycle(braked(RUNNING), 3),
+        new.driving().cycle(braked(RUNNING), 3),
         then.cycle(RUNNING, 2).cycle(drive()),
         then.cycle(RUNNING, 2, frames=4).cycle(drive()),
     ),
     Case("1", "the first brake of a process").of(
-        lambda: Sender().state(READY),
+        new.state(READY),
         then.cycle(IDLE).cycle(braked(SELECTED)),
         then.cycle(IDLE, frames=4).cycle(braked(SELECTED)),
     ),
     Case("1", "brake after torque").of(
-        lambda: Sender().driving().cycle(drive()), then.cycle(RUNNING).cycle(braked(RUNNING)), braked(RUNNING)
+        new.driving().cycle(drive()), then.cycle(RUNNING).cycle(braked(RUNNING)), braked(RUNNING)
     ),
     Case("2", "3 s of AS_DRIVING").of(
-        lambda: Sender().ready().state(DRIVING),
+        new.ready().state(DRIVING),
         then.cycle(RUNNING, 300).cycle(drive()),
         then.cycle(RUNNING, 299).cycle(drive()),
     ),
     Case("2", "AS_DRIVING").of(Sender, then.driving().cycle(drive()), then.ready().cycle(drive())),
     Case("2", "Go").of(driving, drive(), then.car(go_signal=False).cycle(drive())),
     Case("2", "0x520 younger than 50 ms").of(
-        lambda: Sender().driving().cycle(drive()), then.cycle(drive(), 4, car=False), then.cycle(drive(), 5, car=False)
+        new.driving().cycle(drive()), then.cycle(drive(), 4, car=False), then.cycle(drive(), 5, car=False)
     ),
-    Case("2", "an AS_STATE of the table").of(Sender, lambda s: unknown(s, 3), lambda s: unknown(s, 15)),
+    Case("2", "an AS_STATE of the table").of(Sender, then.unknown(3), then.unknown(15)),
     Case("2", "100 ms of known AS states after one that is none").of(
-        lambda: unknown(Sender(), 15, RUNNING),
+        new.unknown(15, RUNNING),
         then.cycle(RUNNING, 10).cycle(drive()),
         then.cycle(RUNNING, 9).cycle(drive()),
     ),
@@ -455,17 +420,17 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         then.cycle(RUNNING, 98, car=False).cycle(RUNNING, 301).cycle(drive()),
         then.cycle(RUNNING, 99, car=False).cycle(RUNNING, 301).cycle(drive()),
     ),
-    Case("3", "FINISHED at rest").of(Sender, lambda s: stood(s).cycle(FINISHED), lambda s: went(s).cycle(FINISHED)),
+    Case("3", "FINISHED at rest").of(Sender, then.stood().cycle(FINISHED), then.went().cycle(FINISHED)),
     Case("3", "NEUTRAL at rest for 0.5 s").of(
-        Sender, lambda s: stood(s).cycle(NEUTRAL), lambda s: went(s).has(rpm=0).cycle(RUNNING, 49).cycle(NEUTRAL)
+        Sender, then.stood().cycle(NEUTRAL), then.went().has(rpm=0).cycle(RUNNING, 49).cycle(NEUTRAL)
     ),
     Case("3", "wheel speeds younger than 100 ms").of(
-        lambda: stood(Sender()).has(mute=(WheelSpeeds,)),
+        new.stood().has(mute=(WheelSpeeds,)),
         then.cycle(RUNNING, 8).cycle(FINISHED),
         then.cycle(RUNNING, 9).cycle(FINISHED),
     ),
     Case("3", "no count runs").of(
-        lambda: stood(Sender().has(counts=0)), then.has(counts=1).cycle(FINISHED), then.has(counts=2).cycle(FINISHED)
+        new.has(counts=0).stood(), then.has(counts=1).cycle(FINISHED), then.has(counts=2).cycle(FINISHED)
     ),
     Case("4", "steering within ANGLE_MAX").of(
         lambda: Sender(car=None).driving().has(angle_max_deg=21.0).cycle(RUNNING), drive(0.0, 21.0), drive(0.0, -21.1)
@@ -480,18 +445,12 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("4", "steering of the venue").of(venue, drive(40.0, 0.3, 260), drive(40.0, 0.4, 260)),
     Case("4", "torque of the venue").of(venue, drive(40.0, 0.3, 260), drive(40.1, 0.3, 260)),
     Case("4", "motor speed of the venue").of(venue, drive(40.0, 0.3, 260), drive(40.0, 0.3, 270)),
-    Case("4", "torque within TRQ_MAX").of(
-        lambda: Sender().has(torque_max_nm=100.0).driving(), drive(100.0), drive(100.1)
-    ),
-    Case("4", "a live TRQ_MAX").of(
-        Sender, lambda s: deaf(s, VcuDriveRear, 9, drive()), lambda s: deaf(s, VcuDriveRear, 10, drive())
-    ),
+    Case("4", "torque within TRQ_MAX").of(new.has(torque_max_nm=100.0).driving(), drive(100.0), drive(100.1)),
+    Case("4", "a live TRQ_MAX").of(Sender, then.deaf(VcuDriveRear, 9, drive()), then.deaf(VcuDriveRear, 10, drive())),
     Case("4", "an axle with a motor").of(driving, drive(), replace(drive(), front_torque_nm=1.0)),
     Case("5", "at most SELECTED").of(at(READY), SELECTED, replace(SELECTED, mission_status=MissionStatus.RUNNING)),
     Case("5", "no steering in AS_READY").of(at(READY), SELECTED, replace(SELECTED, steer_deg=0.1)),
-    Case("6", "an emergency cleared in AS_OFF").of(
-        lambda: Sender().cycle(ESTOP).state(READY), IDLE, then.cycle(ESTOP).cycle(IDLE)
-    ),
+    Case("6", "an emergency cleared in AS_OFF").of(new.cycle(ESTOP).state(READY), IDLE, then.cycle(ESTOP).cycle(IDLE)),
     Case("8", "what nobody should send").of(idle, None, then.frame(Frame(0x7FF, b""))),
     Case("8", "an extended identifier").of(idle, None, then.frame(Frame(0x510, bytes(8), extended=True))),
     Case("7", "a frame that makes sense").of(idle, None, then.frame(Frame(0x511, b"\x00"))),
@@ -507,13 +466,13 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("output table", "never REVERSE").of(at(DRIVING), RUNNING, replace(RUNNING, direction=Direction.REVERSE)),
     Case("output table", "NEUTRAL in EMERGENCY_BRAKE for wheels that stand").of(
         Sender,
-        lambda s: after(s, AsState.EMERGENCY_BRAKE, NEUTRAL),
-        lambda s: after(s, AsState.EMERGENCY_BRAKE, NEUTRAL, rpm=10),
+        then.after(AsState.EMERGENCY_BRAKE, NEUTRAL),
+        then.after(AsState.EMERGENCY_BRAKE, NEUTRAL, rpm=10),
     ),
     Case("output table", "FORWARD in EMERGENCY_BRAKE for wheels that turn").of(
         Sender,
-        lambda s: after(s, AsState.EMERGENCY_BRAKE, RUNNING, rpm=10),
-        lambda s: after(s, AsState.EMERGENCY_BRAKE, RUNNING),
+        then.after(AsState.EMERGENCY_BRAKE, RUNNING, rpm=10),
+        then.after(AsState.EMERGENCY_BRAKE, RUNNING),
     ),
     Case("output table", "front and rear alike").of(
         at(READY), braked(SELECTED), replace(braked(SELECTED), rear_brake_pct=20.0)
@@ -522,22 +481,18 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         lambda: Sender(motor_brakes=True).ready(), None, braked(SELECTED)
     ),
     Case("2", "autonomous").of(Fed, then.driving().cycle(drive()), then.asks("manual").driving()),
-    Case("2", "a command younger than 100 ms").of(Fed, lambda s: silent(s, 10), lambda s: silent(s, 9, drive())),
-    Case("2", "a command that pushes").of(
-        Fed, then.driving().cycle(drive()), lambda s: plan(s, 1, drive(), throttle=0.0)
-    ),
-    Case("4", "the share of the command").of(fed, drive(97.5), drive(97.6)),
+    Case("2", "a command younger than 100 ms").of(Fed, then.silent(10), then.silent(9, drive())),
+    Case("2", "a command that pushes").of(Fed, then.driving().cycle(drive()), then.plan(1, drive(), throttle=0.0)),
+    Case("4", "the share of the command").of(fed.driving(), drive(97.5), drive(97.6)),
     Case("4", "the speed of the command").of(
         Fed,
-        lambda s: plan(s, 1, drive(50.0, 0.0, 130), speed_limit_mps=1.0),
-        lambda s: plan(s, 1, drive(50.0, 0.0, 140), speed_limit_mps=1.0),
+        then.plan(1, drive(50.0, 0.0, 130), speed_limit_mps=1.0),
+        then.plan(1, drive(50.0, 0.0, 140), speed_limit_mps=1.0),
     ),
     Case("5", "SELECTED by who is autonomous").of(Fed, SELECTED, then.asks("manual").cycle(SELECTED)),
     Case("5", "SELECTED for a mission").of(Fed, SELECTED, then.car(ami=Ami.NOT_SELECTED).cycle(SELECTED)),
     Case("5", "SELECTED after both resets").of(Fed, SELECTED, then.car(ami=Ami.SKIDPAD).cycle(SELECTED)),
-    Case("6", "a granted emergency is asked for").of(
-        lambda: Fed().cycle(SELECTED).happens("on_emergency", True), ESTOP, IDLE
-    ),
+    Case("6", "a granted emergency is asked for").of(fed.cycle(SELECTED).happens("on_emergency", True), ESTOP, IDLE),
     Case("6", "a reset in AS_OFF").of(Sender, lambda _: resets(OFF), lambda _: resets(READY)),
     Case("7", "an invalid command").of(Fed, then.plans(throttle=1.5, refused=True), then.plans(throttle=1.5)),
     Case("7", "a valid command").of(Fed, then.plans(), then.plans(refused=True)),
@@ -547,8 +502,8 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("8", "who only listens").of(
         Sender, lambda _: Fed(listen_only=False).cycle(SELECTED), lambda _: Fed(listen_only=True).cycle(IDLE)
     ),
-    Case("8", "a lost bus").of(Fed, lambda s: lost(s, torque=False), then.loses_the_bus().cycle(SELECTED)),
-    Case("8", "five cycles at the end").of(Fed, lambda s: ended(s, BRAKING, 5), lambda s: ended(s, BRAKING, 6)),
+    Case("8", "a lost bus").of(Fed, then.lost(torque=False), then.loses_the_bus().cycle(SELECTED)),
+    Case("8", "five cycles at the end").of(Fed, then.ended(BRAKING, 5), then.ended(BRAKING, 6)),
     Case("modes", "manual is granted").of(Fed, then.asks("manual"), then.asks("manual", done=False)),
     Case("modes", "autonomous where the car may not launch, or is that already").of(
         Fed,
@@ -560,86 +515,86 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         Fed, SELECTED, then.asks("manual").has(mode="autonomous").cycle(IDLE)
     ),
     Case("modes", "manual after a lost command").of(
-        Fed, lambda s: silent(s, 29, STOPPING, "manual"), lambda s: silent(s, 29, STOPPING)
+        Fed, then.silent(29, STOPPING, "manual"), then.silent(29, STOPPING)
     ),
     Case("reactions", "a stop for manual").of(
-        lambda: Fed().driving().asks("manual"), then.cycle(RUNNING).cycle(STOPPING), drive()
+        fed.driving().asks("manual"), then.cycle(RUNNING).cycle(STOPPING), drive()
     ),
-    Case("reactions", "a stop for a lost bus").of(Fed, lambda s: lost(s, torque=False), lambda s: lost(s, torque=True)),
-    Case("reactions", "a stop for FAULT_STATUS").of(lambda: Fed().driving().car(fault=True), RUNNING, drive()),
+    Case("reactions", "a stop for a lost bus").of(Fed, then.lost(torque=False), then.lost(torque=True)),
+    Case("reactions", "a stop for FAULT_STATUS").of(fed.driving().car(fault=True), RUNNING, drive()),
     Case("reactions", "a stop for a planner that was restarted").of(
-        fed,
+        fed.driving(),
         then.happens("on_confirmed", "other").cycle(drive()),
         then.happens("on_confirmed", "planner").cycle(drive()),
     ),
     Case("reactions", "a stop for a finished mission").of(
         Fed,
-        lambda s: plan(s, 1, RUNNING, mission_finished=True),
-        lambda s: plan(s, 1, drive(), mission_finished=True),
+        then.plan(1, RUNNING, mission_finished=True),
+        then.plan(1, drive(), mission_finished=True),
     ),
     Case("reactions", "ESTOP_REQUEST for a lost 0x520").of(
-        lambda: deaf(Fed(), VcuStatus, 4, drive()), then.cycle(RUNNING, 5).cycle(BRAKING), then.cycle(RUNNING, 6)
+        fed.deaf(VcuStatus, 4, drive()), then.cycle(RUNNING, 5).cycle(BRAKING), then.cycle(RUNNING, 6)
     ),
     Case("reactions", "ESTOP_REQUEST for an intruder").of(
-        lambda: Fed().driving().happens("on_intruder", "a frame"), ASKING, RUNNING
+        fed.driving().happens("on_intruder", "a frame"), ASKING, RUNNING
     ),
     Case("reactions", "ESTOP_REQUEST for a fault of the loop").of(
-        lambda: Fed().driving().happens("on_loop_fault"), ASKING, RUNNING
+        fed.driving().happens("on_loop_fault"), ASKING, RUNNING
     ),
     Case("reactions", "ESTOP_REQUEST for both pedals").of(
-        Fed, lambda s: plan(s, 10, RUNNING, brake=0.4).cycle(BRAKING), lambda s: plan(s, 11, RUNNING, brake=0.4)
+        Fed, then.plan(10, RUNNING, brake=0.4).cycle(BRAKING), then.plan(11, RUNNING, brake=0.4)
     ),
     Case("reactions", "ESTOP_REQUEST of the mission").of(
-        Fed, lambda s: plan(s, 1, ASKING, estop_request=True), lambda s: plan(s, 1, RUNNING, estop_request=True)
+        Fed, then.plan(1, ASKING, estop_request=True), then.plan(1, RUNNING, estop_request=True)
     ),
     Case("reactions", "ESTOP_REQUEST at the end of a car that moves").of(
-        Fed, lambda s: ended(s, BRAKING, 2), then.driving().happens("on_end").cycle(RUNNING)
+        Fed, then.ended(BRAKING, 2), then.driving().happens("on_end").cycle(RUNNING)
     ),
     Case("reactions", "ESTOP_REQUEST for a stop without effect").of(
-        lambda: Fed().driving().asks("manual").cycle(RUNNING), then.cycle(STOPPING, 300), then.cycle(STOPPING, 311)
+        fed.driving().asks("manual").cycle(RUNNING), then.cycle(STOPPING, 300), then.cycle(STOPPING, 311)
     ),
     Case("output table", "the first 3 s do not steer").of(
-        lambda: Fed().ready().state(DRIVING), braked(RUNNING), braked(replace(RUNNING, steer_deg=0.1))
+        fed.ready().state(DRIVING), braked(RUNNING), braked(replace(RUNNING, steer_deg=0.1))
     ),
     Case("output table", "steering towards the command").of(
         Fed,
-        lambda s: plan(s, 1, drive(50.0, 0.4), steering_rad=0.1),
-        lambda s: plan(s, 1, drive(50.0, -0.4), steering_rad=0.1),
+        then.plan(1, drive(50.0, 0.4), steering_rad=0.1),
+        then.plan(1, drive(50.0, -0.4), steering_rad=0.1),
     ),
     Case("output table", "steering is held without a command").of(
-        Fed, lambda s: silent(s, 12), lambda s: silent(s, 12, replace(RUNNING, steer_deg=0.3))
+        Fed, then.silent(12), then.silent(12, replace(RUNNING, steer_deg=0.3))
     ),
-    Case("output table", "a holding brake in AS_READY").of(lambda: Fed().ready(3), None, SELECTED),
+    Case("output table", "a holding brake in AS_READY").of(fed.ready(3), None, SELECTED),
     Case("output table", "a holding brake in the first 3 s").of(
-        lambda: Fed().ready().state(DRIVING), then.cycle(braked(RUNNING), 2), then.cycle(RUNNING, 2)
+        fed.ready().state(DRIVING), then.cycle(braked(RUNNING), 2), then.cycle(RUNNING, 2)
     ),
     Case("output table", "the service brake in a stop").of(
-        lambda: Fed().driving().asks("manual").cycle(RUNNING), STOPPING, braked(RUNNING, 30.0)
+        fed.driving().asks("manual").cycle(RUNNING), STOPPING, braked(RUNNING, 30.0)
     ),
     Case("output table", "the brake is not let go without a command").of(
-        lambda: plan(Fed(), 1, RUNNING, brake=0.4, throttle=0.0).cycle(PLANNED).has(command=None).cycle(PLANNED, 11),
+        fed.plan(1, RUNNING, brake=0.4, throttle=0.0).cycle(PLANNED).has(command=None).cycle(PLANNED, 11),
         None,
         RUNNING,
     ),
     Case("output table", "SELECTED where a mission is chosen").of(exact, SELECTED, IDLE),
-    Case("output table", "FINISHED where a stop is over").of(lambda: stopped(exact()), braked(FINISHED), STOPPING),
+    Case("output table", "FINISHED where a stop is over").of(exact.stopped(), braked(FINISHED), STOPPING),
     Case("output table", "RUNNING where none is").of(
-        exact, then.driving().cycle(drive()), lambda s: stood(s).cycle(FINISHED)
+        exact, then.driving().cycle(drive()), then.stood().cycle(FINISHED)
     ),
     Case("output table", "the command steers").of(
-        exact, lambda s: plan(s, 1, drive(50.0, 0.4), steering_rad=0.1), lambda s: plan(s, 1, drive(), steering_rad=0.1)
+        exact, then.plan(1, drive(50.0, 0.4), steering_rad=0.1), then.plan(1, drive(), steering_rad=0.1)
     ),
     Case("output table", "the command brakes").of(
-        lambda: plan(exact(), 1, RUNNING, brake=0.4, throttle=0.0), braked(RUNNING, 40.0), braked(RUNNING, 30.0)
+        exact.plan(1, RUNNING, brake=0.4, throttle=0.0), braked(RUNNING, 40.0), braked(RUNNING, 30.0)
     ),
     Case("reactions", "ESTOP_REQUEST for a reason").of(
-        exact, lambda s: plan(s, 1, ASKING, estop_request=True), then.driving().cycle(ASKING)
+        exact, then.plan(1, ASKING, estop_request=True), then.driving().cycle(ASKING)
     ),
     Case("reactions", "ESTOP_REQUEST for what is implausible").of(
-        lambda: odd(exact(), 29).cycle(RUNNING), then.cycle(STOPPING, 29).cycle(BRAKING), then.cycle(STOPPING, 30)
+        exact.odd(29).cycle(RUNNING), then.cycle(STOPPING, 29).cycle(BRAKING), then.cycle(STOPPING, 30)
     ),
     Case("reactions", "a stop for speeds that the counts contradict").of(
-        Fed, lambda s: contradicted(s, 15), lambda s: contradicted(s, 40)
+        Fed, then.contradicted(15), then.contradicted(40)
     ),
     *(
         Case("reactions", f"ESTOP_REQUEST for {what} that is certainly odd").of(
@@ -655,9 +610,7 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         exact, SELECTED, then.has(mode="manual").cycle(SELECTED)
     ),
     *(
-        Case("4", f"constant power above {rpm - 1} rpm").of(
-            Sender, partial(fast, rpm=rpm, torque_nm=nm), partial(fast, rpm=rpm, torque_nm=nm + 0.1)
-        )
+        Case("4", f"constant power above {rpm - 1} rpm").of(Sender, then.fast(rpm, nm), then.fast(rpm, nm + 0.1))
         for rpm, nm in ((301, 150.0), (401, 120.0), (501, 100.0), (600, 100.0))
     ),
     *(
@@ -723,9 +676,9 @@ def test_a_log_with_an_as_state_that_flickers_shows_torque_in_it() -> None:
     """What a sender may not have seen yet does not excuse what it has seen before."""
     sender = logged()
     for _ in range(5):
-        unknown_now(sender, 15, RUNNING).cycle(drive())
+        sender.unknown_now(15, RUNNING).cycle(drive())
     assert "2" in judged(sender)
-    assert judged(unknown_now(logged(), 15, drive())) == []
+    assert judged(logged().unknown_now(15, drive())) == []
 
 
 def test_each_rule_has_a_case() -> None:

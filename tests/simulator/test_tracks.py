@@ -30,7 +30,7 @@ from fsai_hil.simulator.tracks import (
     small_oval,
 )
 from fsai_vcu.core.driving import ConeColor
-from fsai_vcu.core.planning.pose import ring_curvature
+from fsai_vcu.core.planning.pose import gaps, ring_curvature
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami
 
@@ -47,8 +47,24 @@ def middle(track: Track) -> np.ndarray:
     return track.centreline_m
 
 
-def gaps(line: np.ndarray) -> np.ndarray:
+def steps(line: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(*(np.roll(line, -1, axis=0) - line).T))
+
+
+def turns(line: np.ndarray) -> np.ndarray:
+    """How far the line turns from the metre before each point to the metre after it, rad."""
+    ring = line @ (1.0, 1j)
+    return np.abs(np.angle((np.roll(ring, -4) - ring) / (ring - np.roll(ring, 4))))
+
+
+def lane_widths(track: Track) -> np.ndarray:
+    assert track.left_border_m is not None and track.right_border_m is not None
+    return np.asarray(np.hypot(*(track.left_border_m - track.right_border_m).T))
+
+
+def line_of(track: Track) -> Pose:
+    assert track.start_line is not None
+    return track.start_line
 
 
 def shuffled(track: Track, pose: Pose) -> list[str]:
@@ -66,8 +82,8 @@ def without_gate(track: Track, pose: Pose) -> str:
 
 def test_acceleration_is_75_m_long_with_100_m_to_stop_in() -> None:
     track = acceleration_track()
-    assert track.start_line is not None and track.finish_line is not None
-    assert track.start_line.seen(track.finish_line.x_m, track.finish_line.y_m) == (75.0, 0.0)
+    assert track.finish_line is not None
+    assert line_of(track).seen(track.finish_line.x_m, track.finish_line.y_m) == (75.0, 0.0)
     assert max(x for x, _ in cones(track, ConeColor.ORANGE)) >= 175.0
     assert min(abs(y) for _, y in cones(track, ConeColor.BLUE)) >= 1.5
     assert len(cones(track, ConeColor.BIG_ORANGE)) == 8
@@ -99,10 +115,8 @@ def test_skidpad_has_the_official_circles() -> None:
 )
 def test_the_car_is_staged_with_its_nose_so_far_before_the_line(mission: Ami, track: str, before_m: float) -> None:
     loaded = load_track(track)
-    nose_m = ADS_DV_2026.nose_ahead_of_rear_axle_m
-    pose = loaded.staging(mission, nose_m)
-    assert loaded.start_line is not None
-    assert loaded.start_line.seen(*pose.ahead(nose_m))[0] == pytest.approx(-before_m)
+    pose = loaded.staging(mission, NOSE_M)
+    assert line_of(loaded).seen(*pose.ahead(NOSE_M))[0] == pytest.approx(-before_m)
     assert loaded.on_lane(*pose.ahead(0.0))
 
 
@@ -115,17 +129,11 @@ def test_a_circuit_is_drivable_by_rule(name: str) -> None:
     start = [(x, y) for x, y in line if -8.0 < x < 6.0 and abs(y) < 3.0]
     assert len(start) > 40
     assert max(abs(y) for _, y in start) < 0.3, "it begins with a straight"
-    ahead, behind = np.roll(line, -4, axis=0) - line, line - np.roll(line, 4, axis=0)
-    bend = np.arctan2(ahead[:, 1], ahead[:, 0]) - np.arctan2(behind[:, 1], behind[:, 0])
-    turn = np.abs(np.remainder(bend + math.pi, 2.0 * math.pi) - math.pi)
-    assert 1.0 / turn.max() > 7.5  # the chords' middles are 1 m apart; the inner border is then still 5.75 m
-    assert track.left_border_m is not None and track.right_border_m is not None
-    width = np.hypot(*(track.left_border_m - track.right_border_m).T)
-    assert width.min() >= 3.0
+    assert 1.0 / turns(line).max() > 7.5  # the chords' middles are 1 m apart; the inner border is then still 5.75 m
+    assert lane_widths(track).min() >= 3.0
     assert len(cones(track, ConeColor.BIG_ORANGE)) == 4
     for color in (ConeColor.BLUE, ConeColor.YELLOW):
-        row = np.array(cones(track, color))
-        *along, over_the_gate = gaps(row)
+        *along, over_the_gate = steps(np.array(cones(track, color)))
         assert min(along) > 0.5
         assert max(along) <= 5.0  # rule: cones of a border at most 5 m apart
         assert over_the_gate <= 2 * 5.0
@@ -151,13 +159,9 @@ def test_a_seed_gives_one_circuit_and_another_seed_another() -> None:
 def test_a_generated_circuit_keeps_the_rules(style: str, seed: int) -> None:
     track = generated_circuit(seed, style)
     assert track.closed and 200.0 <= track.length_m <= 500.0
-    line = middle(track)
-    assert track.left_border_m is not None and track.right_border_m is not None
-    lane_m = np.hypot(*(track.left_border_m - track.right_border_m).T)
+    line, lane_m = middle(track), lane_widths(track)
     assert lane_m.min() >= 3.0 - 1e-6 and lane_m.max() <= 5.0 + 1e-6
-    ahead, behind = np.roll(line, -4, axis=0) - line, line - np.roll(line, 4, axis=0)
-    bend = np.arctan2(ahead[:, 1], ahead[:, 0]) - np.arctan2(behind[:, 1], behind[:, 0])
-    turn = np.abs(np.remainder(bend + math.pi, 2.0 * math.pi) - math.pi)
+    turn = turns(line)
     least_m = 8.8 if style == "sharp" else 9.0  # of the rules, and a little harder
     assert 2.0 / turn.max() + lane_m.max() >= least_m - 0.1, "the outside diameter of the tightest hairpin"
     bent = np.flatnonzero(turn > 0.01)
@@ -167,9 +171,8 @@ def test_a_generated_circuit_keeps_the_rules(style: str, seed: int) -> None:
     for color, side in ((ConeColor.BLUE, 1.0), (ConeColor.YELLOW, -1.0)):
         posts = gate[gate[:, 1] * side > 0.0]
         row = np.vstack([posts[posts[:, 0] > 0.0], cones(track, color), posts[posts[:, 0] < 0.0]])
-        assert gaps(row)[:-1].max() <= 5.0
-        apart = np.hypot(row[:, None, 0] - line[None, :, 0], row[:, None, 1] - line[None, :, 1])
-        assert apart.min() > lane_m.min() / 2.0 - 0.1, "no cone of another part of the lane in this one"
+        assert steps(row)[:-1].max() <= 5.0
+        assert gaps(row, line).min() > lane_m.min() / 2.0 - 0.1, "no cone of another part of the lane in this one"
 
 
 def test_sharp_corners_are_as_sharp_as_the_rules_allow() -> None:
@@ -177,9 +180,8 @@ def test_sharp_corners_are_as_sharp_as_the_rules_allow() -> None:
     inside, apart = [], []
     for track in tracks:
         bend = np.abs(ring_curvature(middle(track), 4))
-        lane_m = np.hypot(*(np.asarray(track.left_border_m) - np.asarray(track.right_border_m)).T).mean()
-        inside.append(1.0 / bend.max() - lane_m / 2.0)
-        apart.append(min(gaps(np.array(cones(track, color))).min() for color in (ConeColor.BLUE, ConeColor.YELLOW)))
+        inside.append(1.0 / bend.max() - lane_widths(track).mean() / 2.0)
+        apart.append(min(steps(np.array(cones(track, color))).min() for color in (ConeColor.BLUE, ConeColor.YELLOW)))
     assert 1.3 < min(inside) < 1.6 and max(inside) < 4.0
     assert min(apart) < 2.0 and max(apart) > 3.0, "cones are close in the bends of one circuit, far apart in another's"
 
@@ -222,22 +224,17 @@ def test_the_borders_of_a_circuit_from_a_file_are_found(name: str) -> None:
     assert found.name == "loop"
     assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx(astuple(pose), abs=1e-4)
     assert found.length_m == pytest.approx(made.length_m, rel=0.02)
-    line, truth = middle(found), middle(made)
-    apart = np.hypot(line[:, None, 0] - truth[None, :, 0], line[:, None, 1] - truth[None, :, 1]).min(axis=1)
-    assert apart.max() < 0.4
-    assert found.start_line is not None
-    assert (found.start_line.x_m, found.start_line.y_m) == pytest.approx((0.0, 0.0), abs=0.3)
+    assert gaps(middle(found), middle(made)).min(axis=1).max() < 0.4
+    assert (line_of(found).x_m, line_of(found).y_m) == pytest.approx((0.0, 0.0), abs=0.3)
 
 
 def test_acceleration_and_skidpad_from_a_file_are_recognised() -> None:
     run = parse_track(as_csv(acceleration_track(), Pose(-2.5, 0.0, 0.0)), "run.csv")
     assert run.kind is TrackKind.ACCELERATION
-    assert run.start_line is not None and run.finish_line is not None
-    assert run.finish_line.x_m - run.start_line.x_m == pytest.approx(75.0)
+    assert run.finish_line is not None and run.finish_line.x_m - line_of(run).x_m == pytest.approx(75.0)
     eight = parse_track(as_csv(skidpad_track(), Pose(-17.0, 0.0, 0.02)), "eight.csv")
     assert eight.kind is TrackKind.SKIDPAD
-    assert eight.start_line is not None
-    assert eight.start_line.yaw_rad == pytest.approx(0.0, abs=1e-6)
+    assert line_of(eight).yaw_rad == pytest.approx(0.0, abs=1e-6)
     blind = parse_track("\n".join(as_csv(skidpad_track(), Pose()).splitlines()[:-1]), "eight.csv")
     assert blind.kind is TrackKind.SKIDPAD
     assert blind.staging(Ami.SKIDPAD, NOSE_M).x_m == pytest.approx(-15.0 - NOSE_M)
@@ -341,8 +338,8 @@ def test_a_track_of_pacsim_and_of_fssim_is_read(layout: Callable[[Track], object
     assert sorted(found.cone_colors.tolist()) == sorted(small_oval().cone_colors.tolist())
     assert found.closed and found.length_m == pytest.approx(small_oval().length_m, rel=0.02)
     assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx((-8.0, 0.1, 0.02))
-    assert found.start_line is not None and found.line_by == "2 timing posts"
-    assert (found.start_line.x_m, found.start_line.y_m) == pytest.approx((0.5, 0.0), abs=0.13)
+    assert found.line_by == "2 timing posts"
+    assert (line_of(found).x_m, line_of(found).y_m) == pytest.approx((0.5, 0.0), abs=0.13)
 
 
 @pytest.mark.parametrize(
@@ -378,8 +375,7 @@ def test_without_car_start_the_car_is_staged_before_the_lane(
     found = parse_track("\n".join(rows), "loop.csv")
     assert capsys.readouterr().err == f"loop.csv: no car_start: the car is staged before the {where}\n"
     pose = found.staging(Ami.AUTOCROSS, NOSE_M)
-    assert found.start_line is not None
-    assert found.start_line.seen(*pose.ahead(NOSE_M))[0] == pytest.approx(-6.0, abs=0.3)
+    assert line_of(found).seen(*pose.ahead(NOSE_M))[0] == pytest.approx(-6.0, abs=0.3)
     near = int(np.argmin(np.hypot(*(middle(made) - (pose.x_m, pose.y_m)).T)))
     along = middle(made)[near + 1] - middle(made)[near]
     assert np.hypot(*(middle(made)[near] - (pose.x_m, pose.y_m))) < 0.3
@@ -389,8 +385,8 @@ def test_without_car_start_the_car_is_staged_before_the_lane(
 def test_without_car_start_a_gate_across_a_wide_lane_is_one() -> None:
     gates = [f"big_orange,{x},{y}" for x in (0.0, 75.0) for y in (2.7, 2.9, -2.7, -2.9)]
     lane = [f"{tag},{x},{y}" for x in range(5, 100, 5) for tag, y in (("blue", 2.7), ("yellow", -2.7))]
-    line = parse_track("\n".join(("tag,x,y", *gates, *lane)), "wide.csv").start_line
-    assert line is not None and (line.x_m, line.y_m) == pytest.approx((0.0, 0.0), abs=0.01)
+    line = line_of(parse_track("\n".join(("tag,x,y", *gates, *lane)), "wide.csv"))
+    assert (line.x_m, line.y_m) == pytest.approx((0.0, 0.0), abs=0.01)
 
 
 # ------------------------------------------------------------ the line
@@ -401,16 +397,14 @@ def test_without_a_gate_the_line_is_where_the_planner_has_it(name: str) -> None:
     made = load_track(name)
     pose = made.staging(Ami.AUTOCROSS, NOSE_M)
     back = Pose(*pose.ahead(-2.0), pose.yaw_rad)
-    line = parse_track(without_gate(made, back), "loop.csv").start_line
-    assert line is not None
+    line = line_of(parse_track(without_gate(made, back), "loop.csv"))
     assert (line.x_m, line.y_m, line.yaw_rad) == pytest.approx((-2.0, 0.0, 0.0), abs=0.2)
 
 
 def test_the_line_of_an_askew_gate_is_across_the_lane() -> None:
     gate = ["big_orange,1,1.75", "big_orange,1.8,1.75", "big_orange,2.6,1.75", "big_orange,-2,-1.75"]
     text = "\n".join([without_gate(small_oval(), Pose(-8.0, 0.2, -0.1)), *gate])
-    line = parse_track(text, "loop.csv").start_line
-    assert line is not None
+    line = line_of(parse_track(text, "loop.csv"))
     assert (line.x_m, line.y_m, line.yaw_rad) == pytest.approx((-0.1, 0.0, 0.0), abs=0.2)
 
 

@@ -27,7 +27,7 @@ FLOOR = 0.3
 # a wrong way in many looks.
 NEWEST_AGAINST, NEWEST_FOR = 0.2, 0.07
 DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
-FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, S  # above which a lost car that stands drives on, if it lasts
+FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, 2 * S  # above which a lost car that stands drives on, if it lasts
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
 STUCK_M = 0.5  # beside its path in a bend tighter than it can turn, a car only gets further off: it is lost at once
 ASIDE_M = (0.3, 0.8)  # beside its path: from the first on confidence falls, at the second none is left
@@ -37,6 +37,9 @@ BENT_M = 6.0  # of way, after a bend too tight for the car, on which it may be b
 LOST_BRAKING_MPS2 = 4.0
 STOP_HERE_M = 0.1  # of way borne out: less than to the car's nose
 TURNED_M = 0.7  # a path that leaves the last one by so much, before the car could stop, leads elsewhere
+# How far each look moves the path, before the car could stop, in the mean: from the first on confidence falls, at the
+# second none is left. One look counts for so much of the mean, and for so much way at most.
+MOVED_M, NEWEST_MOVED, MOVED_MOST_M = (0.12, 0.22), 0.1, 0.5
 FIT_M = 0.5  # from where it should stand, beyond which a cone does not bear out a course of known shape
 FIT_AHEAD_M = 10.0  # so far ahead of the car cones are compared
 CONES_TO_FIT = 3  # fewer do not bear out all of it
@@ -95,6 +98,7 @@ class Evidence:
         self._too_tight: tuple[float, float] | None = None  # the radius of such a bend on the path, and where driven
         self._stuck = False  # too far beside its path in such a bend
         self._sure = 1.0
+        self._moved_m = 0.0  # by how much looks move the path, in the mean
         self._doubted_m = 0.0
         self._why = ""
         self._lost = False
@@ -122,7 +126,7 @@ class Evidence:
         if min(self._sure, course.confidence) >= FLOOR_AGAIN and not self._lost and len(course.path_m):
             self._trusted = course, motion
         if self._lost:
-            self._lost = not self._clear(motion)
+            self._lost = not self._clear(course, motion)
         elif self._stuck or self._doubted_m > max(DOUBTED_M, DOUBTED_S * motion.speed_mps):
             self._lost, self._clear_ns = True, None
         return self._kept(course, motion)
@@ -137,26 +141,28 @@ class Evidence:
             before = to_vehicle(motion, to_odometry(self._last[1], self._last[0].path_m))
             reach_m = DOUBTED_M + braking_m(motion.speed_mps, LOST_BRAKING_MPS2)
             both_m = min(reach_m, float(lengths_along(before)[-1]) - DOUBTED_M)
-            near = path[lengths_along(path) < both_m]
-            if len(near) and float(gaps(near, before).min(axis=1).max()) > TURNED_M:
+            moved_m = most_aside_m(path[lengths_along(path) < both_m], before)
+            self._moved_m += NEWEST_MOVED * (min(moved_m, MOVED_MOST_M) - self._moved_m)
+            if moved_m > TURNED_M:
                 return 0.0, "the way ahead is another one than a moment ago"
         radius_m = least_radius_of(path)
         if radius_m < self._least_radius_m - BENT_TOLERANCE_M:
             self._too_tight = radius_m, motion.distance_m
+        steady = min(1.0, max(0.0, MOVED_M[1] - self._moved_m) / (MOVED_M[1] - MOVED_M[0]))
         share = (ASIDE_M[1] - aside_m) / (ASIDE_M[1] - ASIDE_M[0])
         if share >= 1.0:
-            return 1.0, ""
+            return steady, f"each look moves the way ahead, by {self._moved_m:.1f} m" if steady < DOUBTFUL else ""
         note = f"the car is {aside_m:.1f} m beside its path"
         if self._too_tight is not None and motion.distance_m - self._too_tight[1] < BENT_M:
             self._stuck = aside_m >= STUCK_M
             note += (
                 f" in a bend of {self._too_tight[0]:.1f} m, tighter than the {self._least_radius_m:.1f} m it can turn"
             )
-        return max(0.0, share), note
+        return steady * max(0.0, share), note
 
-    def _clear(self, motion: Motion) -> bool:
-        """True once a lost car stands and has seen the way for a second."""
-        if motion.speed_mps > AT_REST_MPS or self._sure < FLOOR_AGAIN:
+    def _clear(self, course: Course, motion: Motion) -> bool:
+        """True once a lost car stands and each look of two seconds has shown the way."""
+        if motion.speed_mps > AT_REST_MPS or min(self._sure, course.confidence) < FLOOR_AGAIN:
             self._clear_ns = None
         elif self._clear_ns is None:
             self._clear_ns = motion.t_ns
@@ -200,6 +206,13 @@ class Fit:
             share = np.maximum(0.0, 1.0 - (off_course(places) / FIT_M) ** 2).sum() / max(CONES_TO_FIT, len(places))
             self._confidence = min(max((float(share) - FIT_NONE) / (FIT_ALL - FIT_NONE), 0.0), 1.0)
         return self._confidence
+
+
+def most_aside_m(places_m: Floats, path_m: Floats) -> float:
+    """Distance (m) from a path to that of the places (N, 2) which is furthest beside it; 0 without places."""
+    nearest = gaps(places_m, path_m).argmin(axis=1)
+    off, (cos, sin) = places_m - path_m[nearest], headings_along(path_m)
+    return float(np.abs(off[:, 1] * cos[nearest] - off[:, 0] * sin[nearest]).max(initial=0.0))
 
 
 def least_radius_of(path_m: Floats) -> float:

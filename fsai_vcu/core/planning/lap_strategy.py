@@ -27,7 +27,7 @@ GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the la
 SURE = 0.5  # confidence with which the lane found is believed in the next look
 KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that cone
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
-KNOWN_NONE, KNOWN_SPAN = (0.55, 0.3), 0.25  # … that leaves no confidence without and with colours; to full confidence
+KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence without and with colours; to full confidence
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 

@@ -9,17 +9,20 @@ from typing import IO, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
+from fsai_vcu.diagnostics.export.tables import SINCE, Column, Rows, Table, Values
 from fsai_vcu.diagnostics.log.candump import time_text
 from fsai_vcu.diagnostics.log.characters import Part, Texts, lines_of, number_texts, texts_of
+from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.printable import cell
 
 _QUOTED: Final = ('"', ",", "\n", "\r")
 
 
 @contextmanager
-def csv_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Callable[[Rows], None]]:
-    """Writes each table to the file that `path_of` names. words: instead of numbers, where the database has them."""
+def csv_files(path_of: Callable[[Table], Path], first_ns: int, *, words: bool) -> Iterator[Callable[[Rows], None]]:
+    """Writes each table to the file that `path_of` names. first_ns: the log's first frame. words: instead of numbers,
+    where the database has them.
+    """
     files: dict[str, IO[bytes]] = {}
     with ExitStack() as opened:
 
@@ -27,14 +30,24 @@ def csv_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Call
             table = rows.table
             if table.name not in files:
                 files[table.name] = opened.enter_context(path_of(table).open("wb"))
-                names = ["time [s]", *(f"{c.name} [{c.unit}]" if c.unit else c.name for c in table.columns)]
+                signals = (f"{c.name} [{c.unit}]" if c.unit else c.name for c in table.columns)
+                names = ("time [s]", f"{SINCE} [s]", *signals)
                 files[table.name].write((",".join(_quoted(cell(name)) for name in names) + "\n").encode())
-            parts: list[Part] = [time_text(rows.t_ns)]
+            parts: list[Part] = [time_text(rows.t_ns), b",", _since_text(rows.t_ns, first_ns)]
             for column, values in zip(table.columns, rows.values, strict=True):
                 parts += [b",", _texts(column, values, words=words)]
             files[table.name].write(lines_of(parts, len(rows)))
 
         yield write
+
+
+def _since_text(t_ns: Ints, first_ns: int) -> Texts:
+    """Seconds from the log's first frame on: as the difference of the times written, below 0 where a clock was set."""
+    since_ns = t_ns // 1000 * 1000 - first_ns // 1000 * 1000
+    if not len(t_ns) or int(since_ns.min()) >= 0:
+        return time_text(since_ns)
+    items, lengths = texts_of([f"{each / 1e9:.6f}" for each in since_ns.tolist()])
+    return Texts(items, lengths)
 
 
 def _texts(column: Column, values: Values, *, words: bool) -> Texts:

@@ -18,7 +18,7 @@ _DIGITS = 200  # more than 512 bits have, times a factor
 
 @contextmanager
 def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[Rows], None]]:
-    """Writes one file. Times are seconds since its start, which is in its header. `begin_ns`: the log's first time."""
+    """Writes one file. Times are seconds since its start, which is in its header. `begin_ns`: of its first frame."""
     asammdf: Any = import_module("asammdf")
     mdf: Any = asammdf.MDF(version="4.10")
     mdf.header.start_time = datetime.fromtimestamp(begin_ns / 1e9, timezone.utc)

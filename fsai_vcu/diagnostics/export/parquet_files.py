@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
+from fsai_vcu.diagnostics.export.tables import SINCE, Column, Rows, Table, Values
 
 pa: Any = import_module("pyarrow")  # it ships no types
 pq: Any = import_module("pyarrow.parquet")
@@ -22,8 +22,10 @@ _DICTIONARY_BYTES: Final = 4096  # columns of more different values are smaller,
 
 
 @contextmanager
-def parquet_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Callable[[Rows], None]]:
-    """Writes each table to the file that `path_of` names. words: instead of numbers, where the database has them."""
+def parquet_files(path_of: Callable[[Table], Path], first_ns: int, *, words: bool) -> Iterator[Callable[[Rows], None]]:
+    """Writes each table to the file that `path_of` names. first_ns: the log's first frame. words: instead of numbers,
+    where the database has them.
+    """
     writers: dict[str, Any] = {}
     pending: deque[Future[None]] = deque()
     with ExitStack() as opened, ThreadPoolExecutor(1) as behind:  # packing needs no Python
@@ -35,8 +37,9 @@ def parquet_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[
                 writer = pq.ParquetWriter(str(path_of(table)), _schema(table, words=words), **options)
                 writers[table.name] = opened.enter_context(writer)
             schema = writers[table.name].schema
-            columns = zip(table.columns, rows.values, schema.types[1:], strict=True)
-            arrays = [_numbers(rows.t_ns, schema.types[0]), *(_array(*column) for column in columns)]
+            columns = zip(table.columns, rows.values, schema.types[2:], strict=True)
+            since = _numbers((rows.t_ns - first_ns) / 1e9, schema.types[1])
+            arrays = [_numbers(rows.t_ns, schema.types[0]), since, *(_array(*column) for column in columns)]
             pending.append(behind.submit(writers[table.name].write_batch, pa.record_batch(arrays, schema=schema)))
             while len(pending) > _WAITING:
                 pending.popleft().result()
@@ -47,7 +50,10 @@ def parquet_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[
 
 
 def _schema(table: Table, *, words: bool) -> Any:
-    fields = [pa.field("time", pa.timestamp("ns", tz="UTC"), nullable=False)]
+    fields = [
+        pa.field("time", pa.timestamp("ns", tz="UTC"), nullable=False),
+        pa.field(SINCE, pa.float64(), nullable=False, metadata={"unit": "s"}),
+    ]
     for column in table.columns:
         metadata = {"unit": column.unit} if column.unit else {}
         if column.choices:

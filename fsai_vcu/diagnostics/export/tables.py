@@ -13,6 +13,8 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, REMOTE, Frames, Ints
 
+SINCE: Final = "time since first frame"
+"""Name of the column that counts as explain, report and --from do; in s."""
 Kind = Literal["int64", "uint64", "float64", "object"]
 Values: TypeAlias = "np.ma.MaskedArray[Any, np.dtype[Any]]"  # numpy 1.21 cannot evaluate it
 """The values of a column, one for each row; masked where a row has none."""
@@ -48,7 +50,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Some rows of a table."""
+    """Some rows of a table. t_ns: times of the log's clock."""
 
     table: Table
     t_ns: Ints

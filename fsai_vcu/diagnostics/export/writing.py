@@ -55,11 +55,13 @@ def export(
     form: str,
     path: Path,
     *,
+    first_ns: int | None = None,
     step_ns: int | None = None,
     words: bool = False,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Written:
     """Write all tables to `path`: a folder of files for CSV and Parquet, else a file. With `step_ns` one wide table.
+    first_ns: the log's first frame, from which times count (default: that of `frames`).
 
     What is at `path` is replaced when all is written, unless it is a folder with something in it. `progress` gets
     frames (of a wide table, rows) done and in all. Raises UserError, and OSError where writing fails.
@@ -83,7 +85,9 @@ def export(
         wide = WideTable(tables, frames, step_ns) if step_ns is not None else None
         seen: set[str] = set()
         done = 0
-        with _writer(form, partial(_new_file, whole, form) if folder else lambda _: whole, frames, words) as write:
+        if first_ns is None:
+            first_ns = int(frames.t_ns[0])
+        with _writer(form, partial(_new_file, whole, form) if folder else lambda _: whole, first_ns, words) as write:
             for rows in wide or _parts(tables, frames, progress):
                 write(rows)
                 seen.add(rows.table.name)
@@ -98,24 +102,24 @@ def export(
 
 
 def _writer(
-    form: str, path_of: Callable[[Table | None], Path], frames: Frames, words: bool
+    form: str, path_of: Callable[[Table | None], Path], first_ns: int, words: bool
 ) -> AbstractContextManager[Callable[[Rows], None]]:
     """Return the writer that takes the rows; what it wrote is whole when it ends without an error."""
     if form == "csv":
         from fsai_vcu.diagnostics.export.csv_files import csv_files
 
-        return csv_files(path_of, words=words)
+        return csv_files(path_of, first_ns, words=words)
     if form == "parquet":
         from fsai_vcu.diagnostics.export.parquet_files import parquet_files
 
-        return parquet_files(path_of, words=words)
+        return parquet_files(path_of, first_ns, words=words)
     if form == "mcap":
         from fsai_vcu.diagnostics.export.mcap_file import mcap_file
 
         return mcap_file(path_of(None))
     from fsai_vcu.diagnostics.export.mf4_file import mf4_file
 
-    return mf4_file(path_of(None), int(frames.t_ns.min()))
+    return mf4_file(path_of(None), first_ns)
 
 
 def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None]) -> Iterable[Rows]:

@@ -288,7 +288,7 @@ def _bus(bus: BusStatistics) -> Iterator[tuple[str, str]]:
     yield "bus load", f"{100 * bus.load:.1f} %, {100 * bus.peak_load:.1f} % at most over 100 ms"
     if bus.handshake is not None and bus.handshake.answered:
         spread = bus.handshake.response_ms
-        times = f"p50 {_number(spread.p50_ms)}, p99 {_number(spread.p99_ms)}, max {_number(spread.max_ms)} ms"
+        times = f"p50 {_number(spread.p50_ms)} ms, p99 {_number(spread.p99_ms)} ms, max {_number(spread.max_ms)} ms"
         unanswered = f", {bus.handshake.unanswered} unanswered" if bus.handshake.unanswered else ""
         yield "handshake response", f"{bus.handshake.answered} echoes{unanswered}: {times}"
     yield "error frames", str(sum(bus.error_frames.values()) or "none")

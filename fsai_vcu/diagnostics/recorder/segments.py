@@ -50,7 +50,7 @@ class SegmentFolder:
         if self.single:
             for kind in _KINDS:
                 if os.path.lexists(self.file(kind)):
-                    raise UserError(f"{self.file(kind)} is there already; name another file, or a folder to go on in")
+                    raise UserError(f"{self.file(kind)} exists already; name another file, or a folder to continue in")
         else:
             path.mkdir(parents=True, exist_ok=True)
             self._lock = open_lock(path / f".{self._prefix}.lock")

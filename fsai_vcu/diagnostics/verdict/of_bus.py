@@ -177,12 +177,13 @@ class _Judge:
             else:
                 absent.setdefault(", ".join(layout.senders), []).append(name)
         if absent:
-            # Boxes that are not on this bus have many messages; their names are worth a line, and no list.
+            # Boxes that are not on this bus have many messages: their count is enough.
             words = (
-                f"{len(names)} messages of {sender}" if sender and len(names) > 1 else ", ".join(names)
+                (f"{len(names)} messages" if len(names) > MOST_NAMED else ", ".join(names))
+                + (f" of {sender}" if sender else "")
                 for sender, names in absent.items()
             )
-            yield self._finding(False, "missing", f"never received: {', '.join(words)}")
+            yield self._finding(False, "missing", f"never received: {'; '.join(words)}")
 
     def _handshake(self, handshake: Handshake) -> Iterator[Finding]:
         """Yield the findings on how the AI computer answers the HANDSHAKE."""
@@ -249,11 +250,11 @@ class _Judge:
         off = min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
         mean_ms = message.mean_ms or expected_ms
         if message.count * mean_ms > _LONG_MS and mean_ms < (1.0 - _PERIOD_TOLERANCE) * expected_ms:
-            often = f"{1000 / mean_ms:.0f} times a second, but should {1000 / expected_ms:.0f} times"
-            text = f"{name} comes {often}: a wrong period, or a second sender"
+            rates = f"{1000 / mean_ms:.0f} Hz instead of {1000 / expected_ms:.0f} Hz"
+            text = f"{name} comes at {rates}: a wrong period, or a second sender"
             yield self._finding(supervised, "period", text, can_id)
         elif message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
-            text = f"{name} comes every {p50_ms:.2f} ms, but should every {expected_ms:g} ms"
+            text = f"{name} comes every {p50_ms:.2f} ms instead of every {expected_ms:g} ms"
             yield self._finding(supervised, "period", text, can_id)
 
     # ------------------------------------------------------------ silence

@@ -49,26 +49,25 @@ def speed(args: argparse.Namespace) -> str:
     if args.write:
         ratios = [{key: each[key] for key in ("name", "peer_name", "ratio")} for each in rows]
         _save(BASELINE, {**whole, "results": ratios})
-    figures = [[_words(each[figure]) for figure in ("ours", "peer", "ratio")] for each in rows]
-    named = [(each["name"], each["unit"], *words, each["peer_name"]) for each, words in zip(rows, figures, strict=True)]
-    print("", table(("what", "unit", "ours", "peer", "peer / ours", "peer is"), named), sep="\n")
-    print("median (quickest to slowest round), of processor time where not wall time")
-    starts_s = [each["ours"]["least"] for each in rows if each["name"] == loop.NODE_START]  # others were held up
-    slow = [
-        f"{loop.NODE_START}: {least_s:.3g} s of processor time to its first frame, more than {loop.NODE_START_S:g} s"
-        for least_s in starts_s
-        if least_s > loop.NODE_START_S
+    words = "{median:.3g} ({least:.3g} to {most:.3g})".format_map
+    lines = [
+        (each["name"], each["unit"], words(each["ours"]), words(each["peer"]), words(each["ratio"]), each["peer_name"])
+        for each in rows
     ]
-    return "; ".join(slow + fallen(rows, baseline, here["processors"]))
+    print("", table(("what", "unit", "ours", "peer", "peer / ours", "peer is"), lines), sep="\n")
+    print("median (quickest to slowest round), of processor time where not wall time")
+    problems = fallen(rows, baseline, here["processors"])
+    for each in rows:
+        least_s, most_s = each["ours"]["least"], loop.NODE_START_S  # the slower rounds were held up
+        if each["name"] == loop.NODE_START and least_s > most_s:
+            start = f"{least_s:.3g} s of processor time to its first frame, more than {most_s:g} s"
+            problems.append(f"{loop.NODE_START}: {start}")
+    return "; ".join(problems)
 
 
 def _save(path: Path, whole: Ratio) -> None:
     path.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
     print(f"saved {path}")
-
-
-def _words(figure: dict[str, float] | None) -> str:
-    return "{median:.3g} ({least:.3g} to {most:.3g})".format_map(figure) if figure else "-"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -58,17 +57,17 @@ def _commands(kind: str, frames: Frames, folder: Path) -> list[Ratio]:
         with tempfile.TemporaryDirectory(dir=folder) as out:
             fsai_vcu("export", log, "--to", to, "-o", f"{out}/tables")
 
-    works: dict[str, Callable[[], object]] = {
-        "decode": partial(fsai_vcu, *decode, log),
-        "check": partial(fsai_vcu, "check", log),
-        # Last those after which the machine goes on writing to the disk for a while.
-        "parquet": partial(exported, "parquet"),
-        "mcap": partial(exported, "mcap"),
-    }
     wall = partial(timed, scale=1e6, timer=time.perf_counter)
-    peer = ("cantools decode", wall(decoded_by_cantools, of=len(frames.head(PEER_FRAMES))))
-    ours = [(f"{name} {kind}, wall", wall(work, of=len(frames))) for name, work in works.items()]
-    return in_turns("us/frame", ROUNDS, peer, *ours)
+    ours = partial(wall, of=len(frames))
+    return in_turns(
+        "us/frame",
+        ROUNDS,
+        ("cantools decode", wall(decoded_by_cantools, of=len(frames.head(PEER_FRAMES)))),
+        (f"decode {kind}, wall", ours(partial(fsai_vcu, *decode, log))),
+        (f"check {kind}, wall", ours(partial(fsai_vcu, "check", log))),
+        # Last those after which the machine goes on writing to the disk for a while.
+        *((f"{to} {kind}, wall", ours(partial(exported, to))) for to in ("parquet", "mcap")),
+    )
 
 
 def random_frames(_: Path) -> Frames:

@@ -18,7 +18,6 @@ from typing import Any
 import can
 import numpy as np
 from cantools.database.can import Database
-from msgspec.structs import replace
 
 from fsai_hil.bench.rows import Ratio, in_turns, timed
 from fsai_hil.rehearsal.stack import RunningProcess
@@ -47,8 +46,7 @@ MISSIONS, DRIVES = ("acceleration", "skidpad", "autocross", "trackdrive"), 2
 NODE_START = "start bridge node"
 NODE_START_S = 1.0  # of a normal machine, as carpc/scenes.py has it
 NODE_PATIENCE_S = 60.0  # of a loaded machine
-DRIVING = AiCommand(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
-COMMAND = replace(DRIVING, handshake=True, steer_deg=-7.3, rear_torque_nm=81.5)
+COMMAND = AiCommand(True, False, MissionStatus.RUNNING, Direction.FORWARD, steer_deg=-7.3, rear_torque_nm=81.5)
 PEER_NODE = "import rclpy"
 
 
@@ -128,8 +126,7 @@ def answering() -> Iterator[tuple[Callable[[], None], Bridge]]:
 
 
 def _children_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
+    return sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])  # user and kernel
 
 
 def node_rows() -> list[Ratio]:

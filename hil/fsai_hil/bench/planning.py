@@ -169,15 +169,16 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
     looks = 0
     for index, motion in enumerate(motions(line, condition)):
         here = to_vehicle(motion, cones)
-        far, angle = np.hypot(here[:, 0], here[:, 1]), np.abs(np.arctan2(here[:, 1], here[:, 0]))
-        seen = (far < RANGE_M) & (angle < HALF_VIEW_RAD) & (here[:, 0] > BLIND_M)
+        ahead, aside = here.T
+        seen = (np.hypot(ahead, aside) < RANGE_M) & (abs(np.arctan2(aside, ahead)) < HALF_VIEW_RAD) & (ahead > BLIND_M)
         xy, color = condition.seen(here[seen], colors[seen], draw)
+        look = ConeObservation(motion.t_ns, xy, color, np.ones(len(xy)))
         if condition.alone:
             planner.reset(RUN)
             for _ in range(SEEN_ALONE - 1):
-                planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
+                planner.on_cones(look, motion)
         began_s = time.thread_time()
-        plan = planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
+        plan = planner.on_cones(look, motion)
         took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))
         if index < SEEN_BEFORE or index % 2:
             continue

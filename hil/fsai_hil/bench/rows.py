@@ -36,17 +36,17 @@ def timed(
     return took
 
 
-def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Return median, least and most of one figure over the rounds, to four digits; None where there are no values."""
-    figures = {"median": statistics.median(values), "least": min(values), "most": max(values)} if values else {}
-    return {name: float(f"{figure:.4g}") for name, figure in figures.items()} or None
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """Return median, least and most of one figure over the rounds, to four digits."""
+    figures = {"median": statistics.median(values), "least": min(values), "most": max(values)}
+    return {name: float(f"{figure:.4g}") for name, figure in figures.items()}
 
 
-def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: Sequence[float] = ()) -> Ratio:
-    """Return one row of the results. Its `ratio` is the peer's time by ours, round by round; None without a peer."""
-    figures = {"ours": spread(ours), "peer": spread(peer)}
-    ratio = spread([theirs / own for own, theirs in zip(ours, peer, strict=False)])
-    return {"name": name, "unit": unit, "peer_name": peer_name, **figures, "ratio": ratio}
+def row(name: str, unit: str, ours: Sequence[float], peer_name: str, peer: Sequence[float]) -> Ratio:
+    """Return one row of the results. Its `ratio` is the peer's time by ours, round by round."""
+    ratios = [theirs / own for own, theirs in zip(ours, peer, strict=True)]
+    figures = {"ours": spread(ours), "peer": spread(peer), "ratio": spread(ratios)}
+    return {"name": name, "unit": unit, "peer_name": peer_name, **figures}
 
 
 def in_turns(unit: str, rounds: int, peer: tuple[str, Took], *ours: tuple[str, Took], cold: int = 0) -> list[Ratio]:

@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--full", action="store_true", help="with --fault: drive to the end of the mission")
     add("--list-faults", nargs="?", const="", metavar="WORD", help="list the kinds of fault, or those with that word")
-    add("--realtime", action="store_true", help="as fast as the clock, not as the computer")
+    add("--realtime", action="store_true", help="drive in real time, not as fast as the computer can")
     add("--plot", type=Path, metavar="FILE.png", help="save a plot of track, driven path and speed")
     add("--animate", type=Path, metavar="FILE.gif|.mp4", help="save a film of the drive, seen from above")
-    add("--animate-speed", type=float, default=2.0, metavar="X", help="how many times as fast as it was driven (2)")
+    add("--animate-speed", type=float, default=2.0, metavar="X", help="play the film X times as fast as driven (2)")
     add("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
     add("--json", action="store_true", help="print one JSON object, and nothing else, to standard output")
 

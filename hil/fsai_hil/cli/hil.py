@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--soak",
         type=float,
         metavar="MINUTES",
-        help="instead: one mission after another for so long, with the verdict whether it stays flat",
+        help="instead: one mission after another for this time, with the verdict whether it stays flat",
     )
     parser.add_argument(
         "--with",
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--timeout",
         type=float,
         metavar="S",
-        help=f"end it after so long, by the clock that its tests see ({_TIMEOUT_S:g}; with --all {_TIMEOUT_ALL_S:g}; "
+        help=f"end it after this time, by the clock that its tests see ({_TIMEOUT_S:g}; with --all {_TIMEOUT_ALL_S:g}; "
         f"with --soak, {_SOAKED:g} times that on top)",
     )
     parser.add_argument(

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import NOW
+from fsai_hil.evidence.small_car import WELL
 from fsai_hil.rules.numbers import CAR_PATIENCE_NS, MS
 from fsai_vcu.core.ages import Ages
 from fsai_vcu.core.command import VehicleCommand
@@ -122,14 +123,7 @@ class Vcu(Value, frozen=True):
     bit: bool = False
 
 
-_WELL: Final = m.VcuStatus(
-    as_switch=True,
-    ts_switch=True,
-    shutdown_cause=ShutdownCause.NO_SHUTDOWN,
-    ebs_state=EbsState.EBS_ARMED,
-    ts_state=TsState.TS_RUNNING,
-    op_state=OpState.OP_AUTO,
-)
+_WELL: Final = replace(WELL, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
 MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
     "AS_SWITCH_STATUS falls": {"as_switch": False},
     "TS_SWITCH_STATUS falls": {"ts_switch": False},

@@ -22,8 +22,9 @@ from hypothesis import strategies as st
 
 from fsai_hil.evidence import fuzz_drive
 from fsai_hil.evidence.fuzz_drive import WELL, Step, kept
-from fsai_hil.evidence.seeded import SEEDS, patched
+from fsai_hil.evidence.seeded import SEEDS, Seed, patched
 from fsai_hil.evidence.work import followed, spread
+from fsai_hil.rules.numbers import MS
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
 from fsai_vcu.interface import messages as m
@@ -140,10 +141,10 @@ _HAPPENS = (
     # Each in `_steps` is one among the others; a bare one_of would be as many as it has parts.
     *[_steps(_AGAIN)] * 2,
     *[_steps(_SPOILT), _steps(_SPOILT, _run(1, 2, 11), times=(2, 3, 5)), _MISSING] * 3,
-    _steps(_step("frame", frame=_FRAME, ahead_ns=(0, 0, 0, 10**6, 5 * 10**7)), _run(0, 1), times=(1, 2, 5, 12)),
+    _steps(_step("frame", frame=_FRAME, ahead_ns=(0, 0, 0, MS, 50 * MS)), _run(0, 1), times=(1, 2, 5, 12)),
     *[_step("car", as_state=(*AsState,), go_signal=(True, True, False))] * 2,
     _steps(_step("car", as_state=AsState.EMERGENCY_BRAKE), _run(5, 20, 180), _step("car", as_state=_OFF)),
-    *[_step("command", **{**WELL, "steering_rad": (0.0, 0.3, -0.3), "throttle": (1.0, 0.0), "brake": (0.0, 0.0, 0.3)})]
+    *[_step("command", **WELL | {"steering_rad": (0.0, 0.3, -0.3), "throttle": (1.0, 0.0), "brake": (0.0, 0.0, 0.3)})]
     * 2,
     *[st.tuples(st.just(name), _COMMAND).map(lambda step: [step]) for name in ("once", "command")] * 2,
     _steps(
@@ -160,10 +161,8 @@ _HAPPENS = (
     *[_step("ask", what=what, words=("", "x" * 200)) for what in ("emergency_brake", "reset", "deactivate")],
     _step("now", held_rpm=(None, 0, 9, 10, 200, 300, 301, 701, 1250)),
     _step("now", stuck=(True, False), unconfirmed=(True, False)),
-    _step(
-        "now", period_ns=(10**7, 10**5, 2 * 10**6, 10**7 - 1, 15 * 10**6 - 1, 25 * 10**6, 5 * 10**7 - 1, 5 * 10**7 + 1)
-    ),
-    _step("now", late_ns=(0, 1, 10**6, 4_999_999, 5_000_001, 7_999_999, 5 * 10**7 - 1)),
+    _step("now", period_ns=(10 * MS, MS // 10, 2 * MS, 10 * MS - 1, 15 * MS - 1, 25 * MS, 50 * MS - 1, 50 * MS + 1)),
+    _step("now", late_ns=(0, 1, MS, 5 * MS - 1, 5 * MS + 1, 8 * MS - 1, 50 * MS - 1)),
 )
 SCRIPTS: Final = st.tuples(
     _of(*["2026"] * 8, *["2021", "venue"] * 3, "staging", "listening"),
@@ -239,10 +238,10 @@ def campaign(first_seed: int, jobs: int, minutes: float) -> bool:
 def sought(name: str) -> tuple[str, str]:
     """Put the seeded fault of that name into the rules; return it, and what breaks in `SEEDED_S` ("": nothing)."""
     until_s, broken = time.process_time() + SEEDED_S, ""
-    seed = next((one for one in SEEDS if one.name == name), None)
-    setups = {key: seed.configured(one) if seed else one for key, one in fuzz_drive.SETUPS.items()}
+    seed = next((one for one in SEEDS if one.name == name), Seed("", "", ""))
+    setups = {key: seed.configured(one) for key, one in fuzz_drive.SETUPS.items()}
     kept.cache_clear()  # where the code is changed on purpose, the ways must be gone again
-    with patched(((fuzz_drive, "SETUPS", setups), *(seed.patches if seed else ()))):
+    with patched(((fuzz_drive, "SETUPS", setups), *seed.patches)):
         for number in itertools.count(1):
             broken = batch(number, shrink=False).failure
             if broken or time.process_time() > until_s:

@@ -184,15 +184,15 @@ class Drive(SmallCar):
         faster_rpm = (1.5 * pushed - 3.0 * braked) * self.period_ns / CYCLE_NS
         self.speed_rpm = max(0.0, min(800.0, self.speed_rpm + faster_rpm)) if self.held_rpm is None else self.held_rpm
         self.turned += self.speed_rpm / 60.0 * self.period_ns / 1e9
+        self.spoilt = {kind: one for kind, one in self.spoilt.items() if self.cycles < one[2]}
         for image in self.images():
-            frame, (names, bits, until) = self.codec.encode(image), self.spoilt.get(type(image), ((), 0, 0))
-            word = int.from_bytes(frame.data, "little")
-            if self.cycles < until and bits is None:
-                continue
-            for name in names if self.cycles < until else ():
-                mask = self.codec.mask(type(image), name)
-                word = word & ~mask | bits * (mask & -mask) & mask
-            self.receive(Frame(frame.can_id, word.to_bytes(len(frame.data), "little"), self.now_ns))
+            names, bits, _ = self.spoilt.get(type(image), ((), 0, 0))
+            if bits is not None:
+                frame = self.codec.encode(image)
+                word = int.from_bytes(frame.data, "little")
+                for mask in (self.codec.mask(type(image), name) for name in names):
+                    word = word & ~mask | bits * (mask & -mask) & mask
+                self.receive(Frame(frame.can_id, word.to_bytes(len(frame.data), "little"), self.now_ns))
 
     def receive(self, frame: Frame) -> None:
         if self.loop.has_bus and not self.bridge.stopped:

@@ -107,5 +107,5 @@ class ScenarioNarrator:
         times = ", ".join(f"{what} after {ms:.0f} ms" for what, ms in named if ms is not None)
         if not times:
             return ""
-        since = f" of when it was certainly implausible, at {verdict.onset_ms:+.0f} ms" if late else ""
+        since = f"; counted from {verdict.onset_ms:+.0f} ms, when it was certainly implausible" if late else ""
         return f" ({times}{since})"
