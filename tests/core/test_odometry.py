@@ -14,9 +14,10 @@ from fsai_vcu.core.vehicle.odometry import (
     advance,
     begin_run,
     motion_at,
+    slipped,
     standing_start,
 )
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.messages import (
     GpsImu,
     LogDynamics2,
@@ -324,3 +325,30 @@ def test_history_keeps_no_more_than_its_span() -> None:
     oldest = history.at(0)
     assert oldest is not None
     assert oldest.x_m == pytest.approx(890.0)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_slipping_car_moves_outward_of_where_it_points(side: float) -> None:
+    speed, radius = 8.0, 8.0  # 8 m/s2
+    last = place = Motion(speed_mps=speed, yaw_rate_radps=side * speed / radius)
+    for degrees in range(1, 91):
+        turned = math.radians(degrees)
+        x, y = radius * math.sin(turned), side * radius * (1.0 - math.cos(turned))
+        motion = replace(last, x_m=x, y_m=y, yaw_rad=side * turned, distance_m=radius * turned)
+        place, last = slipped(place, last, motion), motion
+    outward = SLIP_RADPMPS2 * 8.0  # the quarter circle is turned by it, and nothing else of the motion changes
+    assert place.x_m == pytest.approx(last.x_m + outward * side * last.y_m, abs=1e-3)
+    assert place.y_m == pytest.approx(last.y_m - outward * side * last.x_m, abs=1e-3)
+    assert replace(place, x_m=last.x_m, y_m=last.y_m) == last
+
+
+def test_a_car_that_drives_straight_on_does_not_slip() -> None:
+    last = Motion(speed_mps=15.0)
+    motion = replace(last, x_m=3.0, distance_m=3.0)
+    assert slipped(replace(last, x_m=1.0, y_m=2.0), last, motion) == replace(motion, x_m=4.0, y_m=2.0)
+
+
+def test_a_wild_yaw_rate_throws_the_car_no_further_than_tyres_slip() -> None:
+    last = Motion(speed_mps=15.0)
+    wild = replace(last, x_m=3.0, distance_m=3.0, yaw_rate_radps=1e3)
+    assert abs(slipped(last, last, wild).y_m) < 0.3

@@ -221,11 +221,13 @@ def test_a_lap_begun_in_an_even_straight_is_closed_behind_it(
     """A cone further on the cones of the straight fit as well: what comes behind it tells where the car is."""
     ride = Laps(stadium(straight_m, radius_m, apart_m))
     ride.drive(ride.track.length_m + straight_m + 10.0)
-    assert ride.racing.located and ride.racing.note == ""
+    assert ride.racing.located
     assert ride.error_m(ride.racing.see(ride.see().xy_m, ride.motion)) < 0.4 * apart_m, (
         "at its cones, not the next ones"
     )
     assert ride.state.line.x_m == pytest.approx(8.17, abs=0.6), "the line is where the first lap began"
+    ride.drive(15.0)  # in a turn there may be no room for the way onto the race line
+    assert ride.racing.located and ride.racing.note == ""
 
 
 def test_a_lap_that_cannot_be_closed_is_said() -> None:

@@ -43,6 +43,20 @@ def test_a_cone_keeps_its_place_while_the_car_moves() -> None:
     assert memory.around(turned).xy_m[0] == pytest.approx([1.5, 0.0], abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("cone_xy_m", "since_m", "fresh"),
+    [((12.0, 1.5), 0.0, True), ((12.0, 1.5), 2.0, False), ((5.0, 1.5), 2.5, True), ((5.0, 1.5), 5.5, False)],
+)
+def test_a_place_is_fresh_until_odometry_has_drifted(
+    cone_xy_m: tuple[float, float], since_m: float, fresh: bool
+) -> None:
+    memory = ConeMemory(SETTINGS)
+    for _ in range(3):
+        memory.add(np.array([cone_xy_m]), colors(1), HERE)
+    there = Motion(x_m=since_m, distance_m=since_m)
+    assert memory.lately(memory.around(there), there).tolist() == [fresh]
+
+
 def test_a_false_cone_that_is_not_seen_again_is_dropped() -> None:
     memory = ConeMemory(SETTINGS)
     real = np.array([[6.0, 1.5]])

@@ -19,8 +19,9 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion, Plan
 from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
-from fsai_vcu.core.planning.pose import lengths_along
+from fsai_vcu.core.planning.pose import lengths_along, ring_curvature
 from fsai_vcu.core.planning.race_line import MARGIN_M, LineSearch, RaceLine
+from fsai_vcu.core.planning.racing import BEYOND_M, NOT_ON_LINE, joining, way_onto
 
 OVAL, WINDING = small_oval(), random_circuit(1)
 
@@ -84,6 +85,52 @@ def test_the_path_comes_from_the_car_onto_the_line() -> None:
     assert math.hypot(*first.path_m[0]) < 0.3
     turned = np.abs(np.diff(np.unwrap(np.arctan2(*np.diff(first.path_m[:40], axis=0).T[::-1]))))
     assert turned.max() < 0.5 * 0.3 and second.mapped  # no tighter than the car can turn
+
+
+@pytest.mark.parametrize("left_m", [-1.2, -0.3, 0.0, 0.6])
+@pytest.mark.parametrize("turned_rad", [-0.3, 0.0, 0.2])
+@pytest.mark.parametrize("bend_1pm", [-0.1, 0.0, 0.1])
+def test_a_join_has_no_step_of_curvature(left_m: float, turned_rad: float, bend_1pm: float) -> None:
+    length_m, step_m = 20.0, 0.01
+    aside = joining(left_m, turned_rad, bend_1pm, length_m, step_m)
+    path = np.append(aside, np.zeros(200))  # and on along the line
+    slope = np.diff(path) / step_m
+    bend = np.diff(slope) / step_m
+    assert path[0] == pytest.approx(left_m)
+    assert slope[0] == pytest.approx(math.tan(turned_rad), abs=0.001)
+    assert bend[0] == pytest.approx(bend_1pm, abs=0.002)
+    assert np.abs(np.diff(bend)).max() < 0.001  # a bend of 0.1 1/m that began at once would be a hundred times this
+    least = (6.0 * abs(left_m) + 4.0 * length_m * abs(math.tan(turned_rad))) / length_m**2 + abs(bend_1pm)
+    assert np.abs(bend).max() < 1.05 * least + 0.001  # no more than a bend that had to begin at once
+
+
+def test_the_way_onto_a_line_keeps_to_the_room_beside_it() -> None:
+    line = race_line(WINDING)
+    cut_m = []  # off a way by the room's end: there it has a kink
+    for at in range(len(line.xy_m)):
+        here = Motion(speed_mps=12.0, yaw_rate_radps=12.0 * line.curvature_1pm(at))
+        for left_m in (-0.15, 0.15):
+            if -line.right_m[at] <= left_m <= line.left_m[at]:
+                cut_m.append(line.beyond_m(at, way_onto(line, at, left_m, 0.0, here)))
+    assert len(cut_m) > 400 and np.mean(np.array(cut_m) > 0.1) < 0.1  # of ways of one length a fifth
+
+
+def test_a_line_without_room_for_the_way_onto_it_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    ride, _ = mapped()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+    racing._joined_at = None  # as by a line laid again …
+    monkeypatch.setattr(RaceLine, "beyond_m", lambda *_: BEYOND_M + 0.01)
+    plan = ride.step()
+    assert not plan.mapped and NOT_ON_LINE in plan.note
+    monkeypatch.undo()
+    assert any(ride.step().mapped for _ in range(30))
+
+
+def test_a_line_tells_its_curvature() -> None:
+    line = race_line(OVAL)
+    near = ring_curvature(line.xy_m, over=2)
+    assert [line.curvature_1pm(at) for at in range(len(near))] == pytest.approx(list(near), abs=0.01)
 
 
 def move_cone(ride: Ride, ahead_m: float, inward_m: float) -> int:

@@ -73,6 +73,8 @@ CHAIN_PASSES = 2  # so many wrong colours one after the other are found
 EXPECTED = 0.5  # the side of a cone in line with a border's end
 NEWEST = 0.1  # share of the newest look in the average of how many cones turn out to be none
 DISPLACED_M = 0.6  # by so much, all cones together, the doubt is that of a cone in each look that turns out to be none
+# Of way: in 10 m of a hairpin odometry drifts by some 0.4 m; the same times how far off a cone stands: it turns, too.
+LATELY_M, LATELY_M2 = 5.0, 15.0
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -185,6 +187,11 @@ class ConeMemory:
         """Select those of these cones that most looks at their place find: two false ones may have been there."""
         hits, misses = self._cones["hits"][index], self._cones["misses"][index]
         return np.asarray((hits > self._settings.hits_to_believe) & (hits > 2.0 * misses))
+
+    def lately(self, cones: Cones, motion: Motion) -> Bools:
+        """Select those of these cones whose places odometry's drift since they were last seen has hardly moved."""
+        since_m = motion.distance_m - self._cones["seen_at_m"][cones.index]
+        return np.asarray((since_m < LATELY_M) & (since_m * np.hypot(*cones.xy_m.T) < LATELY_M2))
 
     def vote(self, index: Ints, side: Floats) -> None:
         """The lane has these cones on its left (+1) or right (-1), certainly or less so."""

@@ -70,7 +70,8 @@ class LapStrategy:
         here, path, doubt = motion, NO_PATH, ""
         if racing is not None:
             here = racing.see(seen_xy_m, motion)
-            path, doubt = racing.path(sure_xy_m, here), racing.note
+            fresh = memory.lately(cones, motion) & memory.sure(cones.index)
+            path, doubt = racing.path(cones.xy_m[fresh], here), racing.note
         if racing is not None and len(path):
             reach_m = self._settings.path_step_m * len(path)
             course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)

@@ -16,7 +16,7 @@ from fsai_vcu.core.planning.course import Course, Evidence, Strategy
 from fsai_vcu.core.planning.lap_strategy import LapStrategy
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.planning.skidpad_strategy import SkidpadStrategy
-from fsai_vcu.core.vehicle.odometry import motion_at
+from fsai_vcu.core.vehicle.odometry import motion_at, slipped
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
@@ -49,7 +49,8 @@ class Planner:
         self._memory.clear()
         self._strategy = self._strategy_for(run.mission)
         self._evidence = Evidence(self._car.least_radius_m)
-        self._last: Motion | None = None
+        self._last: Motion | None = None  # as odometry has it …
+        self._place = Motion()  # … and, in laps, with what the tyres slipped sideways
         self._anchor_due = False  # at the next observation: the car stands there for 3 s
 
     def on_run(self, run: Run) -> None:
@@ -72,7 +73,11 @@ class Planner:
         there = motion_at(motion, obs.t_ns)
         if self._last is not None and there.distance_m < self._last.distance_m - 1.0:
             self.reset(self._run)  # odometry began again: nothing remembered is where it was
-        self._last = there
+        if self._last is None or not isinstance(self._strategy, LapStrategy):
+            self._place = there
+        else:
+            self._place = slipped(self._place, self._last, there)
+        self._last, there = there, self._place
         if self._strategy is None:
             return None
         if self._anchor_due:

@@ -16,12 +16,13 @@ from scipy.linalg import solveh_banded  # type: ignore[import-untyped]
 from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled_ring, ring_curvature, to_vehicle
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.values import Value
 
 Bools = NDArray[np.bool_]
 
 MARGIN_M = 0.3  # between body and cones
+RACED_MPS2, RACED_MPS = 9.0, 13.0  # at most, in corners: the tyres' slip turns the nose inward
 CONE_RADIUS_M = 0.14
 NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less is the doubt of two places compared
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
@@ -59,6 +60,18 @@ class RaceLine(Value, frozen=True, eq=False):
         cos, sin = float(self.cos[index]), float(self.sin[index])
         left = float(dy[index]) * cos - float(dx[index]) * sin
         return index, left, math.remainder(here.yaw_rad - math.atan2(sin, cos), 2.0 * math.pi)
+
+    def curvature_1pm(self, index: int) -> float:
+        """Curvature at a point, left positive, by the turn from 1 m before it to 1 m behind it."""
+        points, reach = len(self.xy_m), max(1, round(1.0 / self.step_m))
+        there = [(index - reach) % points, (index + reach) % points]
+        (cos, cos_on), (sin, sin_on) = self.cos[there].tolist(), self.sin[there].tolist()
+        return math.atan2(cos * sin_on - sin * cos_on, cos * cos_on + sin * sin_on) / (2.0 * reach * self.step_m)
+
+    def beyond_m(self, first: int, offsets_m: Floats) -> float:
+        """Return by how much a way so far left of the line from point `first` on leaves the room beside it, at most."""
+        at = np.arange(first, first + len(offsets_m)) % len(self.xy_m)
+        return float(np.maximum(offsets_m - self.left_m[at], -offsets_m - self.right_m[at]).max(initial=0.0))
 
     def path(self, first: int, length_m: float, offsets_m: Floats, here: Motion) -> Floats:
         """(M, 2) the line from point `first` on, in the frame of the car at `here`, its first points so far left."""
@@ -189,11 +202,19 @@ def _bounds(
         outward = np.maximum(-side * curvature, 0.0)
         back = max(1, round(car.nose_ahead_of_rear_axle_m / (stations[1] - stations[0])))
         swing = np.max([np.roll(outward, shift) for shift in range(back + 1)], axis=0)
-        bounds.append(side * (border - half - 0.5 * car.nose_ahead_of_rear_axle_m**2 * swing))
+        inner_m = _turned_in_m(np.maximum(side * curvature, 1e-6), car)
+        bounds.append(side * (border - half - 0.5 * car.nose_ahead_of_rear_axle_m**2 * swing - inner_m))
     left, right = bounds
     middle = 0.5 * (left + right)
     narrow = left - right < 2.0 * NARROW_M
     return np.where(narrow, middle + NARROW_M, left), np.where(narrow, middle - NARROW_M, right)
+
+
+def _turned_in_m(curvature_1pm: Floats, car: VehicleParameters) -> Floats:
+    """(N,) how far the body stands to the inner side of the rear axle's path, turned by the slip at racing speed."""
+    slip_rad = SLIP_RADPMPS2 * np.minimum(RACED_MPS2, RACED_MPS**2 * curvature_1pm)
+    ahead_m = np.minimum(slip_rad / curvature_1pm, car.nose_ahead_of_rear_axle_m)
+    return np.asarray(ahead_m * slip_rad - 0.5 * ahead_m**2 * curvature_1pm)
 
 
 def _beside(line: Floats, step_m: float, cones_xy_m: Floats) -> tuple[Ints, Ints]:

@@ -27,8 +27,12 @@ GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate …
 LAP_DOUBT = 0.03  # … and else, by a lap's way
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 ON_LINE = "a cone stands on the race line"
+NOT_ON_LINE = "the car is not on the race line"
 STEADY = 10  # observations in a row that allow the line before it is joined
-JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
+JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed …
+JOINING_SHARES = 1.0, 0.75, 0.5  # … or a share of it, so as not to leave the room beside the line in the next corner
+# Cut off at the room's end, a way has a kink: by so much it does not matter, and by more than this it cannot be driven.
+WITHIN_M, BEYOND_M = 0.02, 0.2
 BEHIND_JOINING = 20  # points of the line: so little behind the place where it joined the car is before it
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
 MIDDLE_M = 15.0  # of the lane's middle, ahead of the car
@@ -101,7 +105,7 @@ class Racing:
     def path(self, cones_xy_m: Floats, here: Motion) -> Floats:
         """(M, 2) the way on along the race line, in the vehicle frame; nothing where it cannot be trusted.
 
-        `cones_xy_m`: what is known to stand around the car (vehicle frame): it outranks the map.
+        `cones_xy_m`: what was lately seen to stand around the car (vehicle frame): it outranks the map.
         """
         self._look_for_line()
         path, self.note = self._along_line(cones_xy_m, here)
@@ -136,7 +140,9 @@ class Racing:
             return NO_PATH, "the cones seen do not agree with the map"
         index, left_m, turned_rad = line.beside(here)
         if joined_at is None:
-            self._offsets = _joining(left_m, turned_rad, JOINING_M + JOINING_S * here.speed_mps, line.step_m)
+            self._offsets = way_onto(line, index, left_m, turned_rad, here)
+            if line.beyond_m(index, self._offsets) > BEYOND_M:
+                return NO_PATH, NOT_ON_LINE
             joined_at, most_m = index, ASIDE_JOINING_M
         else:
             most_m = ASIDE_M
@@ -146,7 +152,7 @@ class Racing:
         offsets = self._offsets[driven:]
         aside_m = left_m - float(offsets[0] if len(offsets) and self._joined_at is not None else 0.0)
         if abs(aside_m) > most_m or abs(turned_rad) > TURNED_RAD:
-            return NO_PATH, "the car is not on the race line"
+            return NO_PATH, NOT_ON_LINE
         path = line.path(index, HORIZON_M, offsets, here)
         news = cones_xy_m[line.news(to_odometry(here, cones_xy_m))]
         beside = BESIDE_M - BESIDE_PER_M * np.hypot(news[:, 0], news[:, 1])
@@ -159,8 +165,21 @@ class Racing:
         return path, ""
 
 
-def _joining(left_m: float, turned_rad: float, length_m: float, step_m: float) -> Floats:
-    """(N,) how far left of the line the path is, from where it leaves the car until it has come onto the line."""
+def way_onto(line: RaceLine, index: int, left_m: float, turned_rad: float, here: Motion) -> Floats:
+    """(N,) how far left of the line the path is, on the longest way onto it that keeps to the room beside the line."""
+    length_m = JOINING_M + JOINING_S * here.speed_mps
+    bend_1pm = here.yaw_rate_radps / max(here.speed_mps, 1.0) - line.curvature_1pm(index)
+    ways = [joining(left_m, turned_rad, bend_1pm, share * length_m, line.step_m) for share in JOINING_SHARES]
+    return min(ways, key=lambda way: max(WITHIN_M, line.beyond_m(index, way)))
+
+
+def joining(left_m: float, turned_rad: float, bend_1pm: float, length_m: float, step_m: float) -> Floats:
+    """(N,) how far left of the line the path is, from where it leaves the car until it has come onto the line.
+
+    It begins beside the line, turned and bent against it as the car is, and ends with none of that: place, direction
+    and curvature have no step.
+    """
     share = np.arange(0.0, 1.0, step_m / length_m)
-    slope_m = length_m * math.tan(turned_rad)
-    return np.asarray((1.0 - share) ** 2 * (left_m * (1.0 + 2.0 * share) + slope_m * share))
+    place = left_m * (1.0 + 3.0 * share + 6.0 * share**2)
+    slope = length_m * math.tan(turned_rad) * share * (1.0 + 3.0 * share)
+    return np.asarray((1.0 - share) ** 3 * (place + slope + 0.5 * bend_1pm * (length_m * share) ** 2))

@@ -12,6 +12,7 @@ from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_
 from fsai_vcu.interface.values import Value
 
 GRAVITY_MPS2 = 9.81
+SLIP_RADPMPS2 = 0.009  # slip angle of a rear axle that holds the car in a corner, by its lateral acceleration
 
 
 class VehicleParameters(Value, frozen=True):
