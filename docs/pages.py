@@ -153,7 +153,7 @@ def give_up() -> str:
         "\nand the run ends in the same manner."
         "\n"
         "\nThe planner's confidence falls when it sees another lane than a moment ago, when each look moves the path"
-        f"\n(by more than {MOVED_M[0]:g} m in the mean, before the car could stop), a car beside its path, cones"
+        f"\n(by more than {MOVED_M[0]:g} m in the mean, before the car could stop) or the path crosses a border, a car beside its path, cones"
         "\nwhere none stood, or cones that are not where skidpad or acceleration have them. If its average over some"
         f"\nlooks stays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
         "\nthe planner is *lost*: it plans a stop at once, along the last path that was not in doubt."

@@ -12,7 +12,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of, most_aside_m
-from fsai_vcu.core.planning.lap_strategy import free_of_cones
+from fsai_vcu.core.planning.lap_strategy import free_of_cones, within_borders
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 LOOK_NS, SPEED_MPS = 50_000_000, 4.0
@@ -204,3 +204,39 @@ def test_a_cone_on_the_path_borne_out_leaves_little_confidence(
     cone: tuple[float, float], share: float, note: str
 ) -> None:
     assert free_of_cones(SURE, np.vstack((ROWS, cone))) == (share, note)
+
+
+BORDERS = np.array([(x, y) for y in (1.5, -1.5) for x in (0.0, 4.0, 8.0, 12.0)])
+LEFT_OR_RIGHT = np.repeat([1.0, -1.0], 4)
+ASTRAY = replace(SURE, path_m=np.column_stack((np.arange(0.0, 14.0, 0.5), 0.5 * np.arange(0.0, 14.0, 0.5))))
+ASTRAY_LATER = replace(SURE, path_m=ASTRAY.path_m + np.array((3.0, 0.0)))
+THIRD_ON_ITS_RIGHT = np.array((1, 1, -1, -1, -1, -1, -1, -1))
+CROSSES = (0.3, "the way crosses the left border")
+
+
+@pytest.mark.parametrize(
+    ("course", "side", "colourless", "said"),
+    [
+        (SURE, LEFT_OR_RIGHT, True, (1.0, "")),
+        (ASTRAY, LEFT_OR_RIGHT, False, CROSSES),
+        (replace(ASTRAY, supported_m=3.0), LEFT_OR_RIGHT, False, (1.0, "")),  # so far as it is borne out
+        (
+            ASTRAY,
+            np.where(BORDERS[:, 0] == 4.0, -LEFT_OR_RIGHT, LEFT_OR_RIGHT),
+            False,
+            (1.0, ""),
+        ),  # of the other colour
+        # The wrong lane has the third cone on its right already; it is in line with the first two, and has no colour …
+        (ASTRAY_LATER, THIRD_ON_ITS_RIGHT, True, CROSSES),
+        (ASTRAY_LATER, THIRD_ON_ITS_RIGHT, False, (1.0, "")),  # … or one, which is believed
+        (replace(SURE, path_m=STRAIGHT[:0]), LEFT_OR_RIGHT, True, (1.0, "")),
+    ],
+)
+def test_a_way_between_the_cones_of_one_border_is_doubted(
+    course: Course, side: Floats, colourless: bool, said: tuple[float, str]
+) -> None:
+    assert within_borders(course, BORDERS, side, np.full(len(BORDERS), colourless)) == said
+
+
+def test_without_cones_no_border_is_crossed() -> None:
+    assert within_borders(ASTRAY, BORDERS[:0], LEFT_OR_RIGHT[:0], np.zeros(0, bool)) == (1.0, "")

@@ -12,7 +12,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.planning.cone_memory import BIG, ConeMemory, Cones
+from fsai_vcu.core.planning.cone_memory import BIG, SURE_SIDE, Bools, ConeMemory, Cones
 from fsai_vcu.core.planning.course import DOUBTFUL, Course, braking_m
 from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
@@ -29,6 +29,8 @@ KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
 KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence without and with colours; to full confidence
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
+CROSSED_SHARE = 0.3  # of confidence, left where the path crosses a border: between neighbours of one …
+BORDER_APART_M, IN_LINE_COS = 5.0, 0.95  # … at most so far apart; in line with two others, it turns no more than this
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -65,7 +67,8 @@ class LapStrategy:
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         """Return the way on: along the race line where the map bears it out, else in the lane that the cones make."""
         cones = memory.around(motion)
-        sure_xy_m = cones.xy_m[memory.sure(cones.index)]
+        sure = memory.sure(cones.index)
+        sure_xy_m = cones.xy_m[sure]
         racing = self._racing
         here, path, doubt = motion, NO_PATH, ""
         if racing is not None:
@@ -80,8 +83,10 @@ class LapStrategy:
             course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
             free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
-            notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, course.note)
-            course = replace(course, confidence=clear * free * course.confidence, note="; ".join(filter(None, notes)))
+            within, crossing = within_borders(course, sure_xy_m, cones.side[sure], cones.color[sure] == 0)
+            notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, crossing, course.note)
+            confidence = clear * free * within * course.confidence
+            course = replace(course, confidence=confidence, note="; ".join(filter(None, notes)))
         self._count(cones, course.path_m, here)
         if racing is not None:
             self._state = racing.close(self._state, here)
@@ -179,6 +184,45 @@ def free_of_cones(course: Course, sure_xy_m: Floats) -> tuple[float, str]:
     away_m = gaps(sure_xy_m, borne_out).min(axis=1, initial=math.inf)
     inside = int(np.count_nonzero(away_m < IN_LANE_M))
     return IN_LANE_SHARE**inside, f"{inside} cone{'s' * (inside != 1)} in the lane" if inside else ""
+
+
+def within_borders(course: Course, sure_xy_m: Floats, side: Floats, colourless: Bools) -> tuple[float, str]:
+    """The share of confidence that is left by a path between two neighbouring cones of one border, and the note on it.
+
+    side: (N,) of the cones (N, 2, vehicle frame), as in `Cones`. A cone without colour in line with the last two of a
+    border is of that border, wherever lanes found before had it: a wrong lane bears itself out so.
+    """
+    path = course.path_m[lengths_along(course.path_m) <= course.supported_m] if len(course.path_m) else course.path_m
+    if len(path) < 2 or len(sure_xy_m) < 2:
+        return 1.0, ""
+    to = sure_xy_m[None] - sure_xy_m[:, None]  # (N, N, 2) from each to each other
+    apart = np.hypot(to[..., 0], to[..., 1])
+    near = (apart < BORDER_APART_M) & (apart > 0.0)
+    along = np.einsum("ijx,jkx->ijk", to, to)
+    straight = along > IN_LINE_COS * apart[:, :, None] * apart
+    for sign, name in ((1.0, "left"), (-1.0, "right")):
+        mine = side * sign > SURE_SIDE
+        same = near & mine[:, None] & mine
+        last = same & ~((along > 0.0) & same).any(axis=2)  # (N, N) from one of a border to its last
+        in_line = near & colourless & (straight & last[:, :, None]).any(axis=0)
+        one, other = np.nonzero(same | in_line)
+        if crossed(path, sure_xy_m[one], sure_xy_m[other]):
+            return CROSSED_SHARE, f"the way crosses the {name} border"
+    return 1.0, ""
+
+
+def crossed(path_m: Floats, begin_m: Floats, end_m: Floats) -> bool:
+    """Return true where a path (M, 2) crosses a line from one of the places (P, 2) to the other of the same row."""
+    step, line = np.diff(path_m, axis=0)[:, None], (end_m - begin_m)[None]
+    to_begin, to_end = begin_m[None] - path_m[:-1, None], end_m[None] - path_m[:-1, None]
+    after = to_begin - step
+    ends_apart = _across(step, to_begin) * _across(step, to_end) < 0.0
+    return bool((ends_apart & (_across(line, to_begin) * _across(line, after) <= 0.0)).any())
+
+
+def _across(one: Floats, other: Floats) -> Floats:
+    cross: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    return cross
 
 
 def _gate_across(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:
