@@ -109,6 +109,8 @@ def run(args: argparse.Namespace) -> int:
         place, recording = begun
         if topics is not None:
             topics.start()
+        if args.seconds is None and sys.stderr.isatty():
+            _say(f"listening to {listener.name} until Ctrl-C")
         until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
         _record(listener, topics, recording, until_ns, asked)
     if topics is not None:
