@@ -102,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     lines = _Lines(args, decoding)
     on_screen = args.count is None and sys.stdout.isatty() and not sources.live
     left = _ON_SCREEN if on_screen else args.count
+    if sources.live and sys.stderr.isatty():
+        print(f"fsai-vcu {args.verb}: listening to {sources.name} until Ctrl-C", file=sys.stderr)
     received_at, silent = time.monotonic(), True
     try:
         for frames in map(lines.chosen, sources.chunks()):
@@ -128,6 +130,8 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         if not sources.live:
             raise
+        if silent:
+            print(f"fsai-vcu {args.verb}: nothing was received on {sources.name}", file=sys.stderr)
     return sources.status
 
 

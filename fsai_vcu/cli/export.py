@@ -48,7 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "parquet a new folder, with a file for each message",
     )
     add("--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message")
-    add("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
+    add(
+        "--raster",
+        metavar="TIME",
+        help=f"of one table (--wide, FILE.csv, FILE.parquet): 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})",
+    )
     add("--words", action="store_true", help="csv, parquet: words where the database has them, not numbers")
     add_part_arguments(parser, signals=True)
     add("--until", help=argparse.SUPPRESS)

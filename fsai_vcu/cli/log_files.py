@@ -9,14 +9,13 @@ from typing import Final
 from fsai_vcu.diagnostics.log.filters import name_and_filters
 from fsai_vcu.diagnostics.log.formats import format_of
 from fsai_vcu.diagnostics.log.frames import EPOCH_NS
-from fsai_vcu.diagnostics.log.reader import LogError, open_log
+from fsai_vcu.diagnostics.log.reader import NO_LOGS, LogError, open_log
 from fsai_vcu.diagnostics.log.stream import HEAD_BYTES
 from fsai_vcu.files import open_named
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.units import S
 
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc", ".pcap", ".pcapng", ".crtd"})
-_BESIDE: Final = frozenset({".json", ".png", ".svg", ".html"})
 _MAY_BE_LOGS: Final = frozenset({".csv", ".txt", ".db", ".db3", ".sqlite"})  # their content tells
 NOTHING_READ: Final = 1 << 63  # later than any log begins
 
@@ -64,7 +63,7 @@ def unfolded(name: str, left_out: list[Path]) -> list[str]:
 
 def _beside_logs(path: Path) -> bool:
     """True for a file that a recording or a drive leaves beside its log, and that nobody takes for a log."""
-    return path.name.startswith(".") or path.suffix.lower() in _BESIDE
+    return path.name.startswith(".") or path.suffix.lower() in NO_LOGS
 
 
 def _log_like(path: Path) -> bool:

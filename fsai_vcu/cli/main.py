@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
-from typing import NoReturn, TextIO, cast
+from typing import Any, NoReturn, TextIO, cast
 
 from fsai_vcu.interface.errors import UserError as UserError
 from fsai_vcu.interface.errors import WrongUse as WrongUse
+from fsai_vcu.interface.errors import did_you_mean
 from fsai_vcu.printable import PrintableStream, printable
 
 Verbs = dict[str, tuple[str, str, str]]
@@ -92,7 +93,25 @@ class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, without the whole usage before it."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows what there is\n")
+        _, unknown, words = message.partition("unrecognized arguments: ")
+        if unknown and words.startswith("--"):
+            options = (each for action in self._actions if action.help != argparse.SUPPRESS for each in _long(action))
+            message += did_you_mean(words.split()[0].partition("=")[0], options, few=0)
+        said = "; did you mean " in message or "; there are: " in message
+        more = "" if said else f"; {self.prog} --help shows what there is"
+        self.exit(2, f"{self.prog}: {message}{more}\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Raise ArgumentError for a word that is no choice, with those that were perhaps meant."""
+        if action.choices is not None and value not in action.choices:
+            named = action if action.option_strings else None  # the metavar of a position is no name
+            meant = did_you_mean(str(value), map(str, action.choices), few=0)
+            meant = meant or f"; there are: {', '.join(map(str, action.choices))}"
+            raise argparse.ArgumentError(named, f"invalid choice: '{value}'{meant}")
+
+
+def _long(action: argparse.Action) -> list[str]:
+    return [each for each in action.option_strings if each.startswith("--")]
 
 
 def module_of(verb: str) -> ModuleType:
@@ -167,7 +186,7 @@ def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
     """Find the verb in the arguments, parse the rest with its parser and run it; return the exit status."""
     if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
         _print_help("--all" in arguments)
-        return 0 if arguments else 2
+        return 0
     if arguments[0] == "help":
         arguments = [*arguments[1:2], "--help"]
     if arguments[0] == "--version":

@@ -33,7 +33,7 @@ signals on top."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="LOG", help=f"{LOG_HELP}; filters as for dump")
     signals = "more logs, read as one; then signals: NAME or MESSAGE.NAME, with * and ?"
-    parser.add_argument("words", nargs="+", metavar="SIGNAL", help=signals)
+    parser.add_argument("words", nargs="*", metavar="SIGNAL", help=signals)
     parser.add_argument("-o", "--output", type=Path, default=Path("plot.png"), metavar="FILE", help="default: plot.png")
     add_part_arguments(parser)
     add_database_arguments(parser)
@@ -44,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
     more = list(takewhile(lambda word: Path(name_and_filters(word)[0]).exists(), args.words))
     logs, signals = [args.source, *more], args.words[len(more) :]
     if not signals:
-        raise WrongUse("no signal is named; fsai-vcu dbc show lists them")
+        example = f"fsai-vcu plot {args.source} ANGLE 'VCU2AI_Speeds.*'"
+        raise WrongUse(f"no signal is named: {example}; fsai-vcu dbc show lists them")
     decoding = Decoding("plot", args)
     decoding.patterns(",".join(signals))
     sources = Sources("plot", logs, part=part_of(args, decoding))

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FOLDER|FILE",
         help="a folder: numbered segments of limited size, continued after a restart; a file (run.log): one candump "
-        "log, which must not exist yet",
+        "log, which must not exist yet, and run.json about it",
     )
     add("--service", action="store_true", help="as the recording service does: what the car's configuration says")
     add("--config", type=Path, metavar="FILE", help="with --service: the configuration (default: /etc/fsai/fsai.toml)")
@@ -109,6 +109,8 @@ def run(args: argparse.Namespace) -> int:
         place, recording = begun
         if topics is not None:
             topics.start()
+        if args.seconds is None and sys.stderr.isatty():
+            _say(f"listening to {listener.name} until Ctrl-C")
         until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
         _record(listener, topics, recording, until_ns, asked)
     if topics is not None:
@@ -216,15 +218,18 @@ def _result(
     lost = recording.lost + listener.overrun
     where = f"{args.output}, up to segment {place.number}" if place.number else f"{args.output}"
     ros = f" and {recording.messages} ROS messages" if args.ros else ""
-    print(f"{recording.taken} frames{ros} in {where}", file=sys.stderr)
+    silent = not (recording.taken or recording.messages or lost)
+    made = bool(place.number) or not silent  # an empty log would only keep the next recording from its name
+    if made:
+        beside = "" if place.number else f", about it in {place.file('.json')}"
+        print(f"{recording.taken} frames{ros} in {where}{beside}", file=sys.stderr)
     if lost:
         _say(f"{lost} frames were received and are not on the disk")
     if listener.dropped:
         _say(lost_words(listener.dropped))
-    silent = not (recording.taken or recording.messages or lost)
     if silent:
-        _say(f"nothing was received on {args.interface}")
-        if not place.number:  # an empty log would only keep the next recording from its name, and the rest is about it
+        _say(f"nothing was received on {args.interface}" + ("" if made else f": {args.output} was not made"))
+        if not made:
             place.delete()
     return 1 if lost or listener.dropped or recording.in_trouble or (silent and not stopped) else 0
 

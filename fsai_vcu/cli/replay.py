@@ -88,18 +88,20 @@ def run(args: argparse.Namespace) -> int:
     player = Player(chosen, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
     status = sources.status
     progress = Progress()
+    sent = "{} frames sent"
     with bus:
         try:
             for _ in player.play():
                 progress.show(lambda: f"{player.sent} frames sent, {player.laps} times through {len(chosen)}")
         except KeyboardInterrupt:
-            pass
+            if laps is not None:
+                sent = f"interrupted: {{}} of {laps * len(chosen)} frames sent"
         except BusLost as error:
             print(f"fsai-vcu replay: {error}", file=sys.stderr)
             status = 1
         finally:
             progress.end()
-    return max(status, _result(player))
+    return max(status, _result(player, sent.format(player.sent)))
 
 
 def _paced(frames: Frames, *, skip: bool) -> Frames:
@@ -114,10 +116,11 @@ def _paced(frames: Frames, *, skip: bool) -> Frames:
     return frames.at(frames.t_ns - np.cumsum(np.where(pauses, steps_ns - S, 0))) if skip else frames
 
 
-def _result(player: Player) -> int:
-    print(f"{player.sent} frames sent", file=sys.stderr)
+def _result(player: Player, sent: str) -> int:
+    print(sent, file=sys.stderr)
     if player.refused:
         print(f"fsai-vcu replay: {player.refused} frames not sent: the transmit queue stayed full", file=sys.stderr)
     if player.late_max_ns > _LATE_NS:
-        print(f"fsai-vcu replay: frames were sent up to {player.late_max_ns / 1e6:.0f} ms late", file=sys.stderr)
+        late = f"frames were sent up to {player.late_max_ns / 1e6:.0f} ms late"
+        print(f"fsai-vcu replay: {late}: over a cycle (10 ms), so what times them sees gaps", file=sys.stderr)
     return 1 if player.refused else 0

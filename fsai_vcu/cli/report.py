@@ -9,7 +9,7 @@ from pathlib import Path
 from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.page.document import of_log
-from fsai_vcu.interface.errors import UserError
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
@@ -21,7 +21,9 @@ page, which is saved all the same; 1 also where it cannot be."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_log_arguments(parser)
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.html", help="the page to write")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE.html", help="the page to write (default: beside a log, run.html)"
+    )
     parser.add_argument(
         "--signals", metavar="NAME,…", help="plots of these signals too: NAME or MESSAGE.NAME, with * and ?"
     )
@@ -36,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     decoding = Decoding("report", args)
     decoding.patterns(args.signals)
     sources = Sources("report", args.sources)
+    args.output = args.output or _beside(sources)
     sources.check_output(args.output)
     found = judged(args, sources, decoding)
     if found is None:
@@ -53,6 +56,16 @@ def run(args: argparse.Namespace) -> int:
         return found.verdict.status
     print(f"saved {args.output} ({len(text.encode()) / 1000:.0f} kB); verdict: {found.verdict.line()}")
     return found.verdict.status
+
+
+def _beside(sources: Sources) -> Path:
+    """The page's place where none is named: beside the log. Raises WrongUse where there is no one log, or a file."""
+    if not sources.files or len(sources.names) > 1:
+        raise WrongUse("-o is missing: -o report.html")
+    page = Path(sources.name).with_suffix(".html")
+    if page.exists():
+        raise WrongUse(f"{page} exists already: -o {page} writes over it")
+    return page
 
 
 def _write(path: Path, text: str) -> None:

@@ -1,4 +1,4 @@
-"""`fsai-vcu record` where nothing can be written yet: it fails at once, or as a service goes on asking."""
+"""`fsai-vcu record` in one line: what it made, and what it could not make."""
 
 from __future__ import annotations
 
@@ -39,3 +39,19 @@ def test_a_service_waits_for_its_folder_and_says_so(blocked: Path, capsys: pytes
     assert said[0] == f"fsai-vcu record: cannot write {folder}: Not a directory; trying again every second"
     assert said[1] == f"fsai-vcu record: writing in {folder}"
     assert len(list(folder.glob("*.log"))) == 1
+
+
+def test_a_file_of_which_nothing_is_made_is_not_named_as_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "int.log"
+    assert main(["record", "loopback:record-silent", "-o", str(log), "--seconds", "0"]) == 1
+    why = f"nothing was received on loopback:record-silent: {log} was not made"
+    assert capsys.readouterr().err == f"fsai-vcu record: {why}\n" and not list(tmp_path.iterdir())
+
+
+def test_the_file_beside_a_recorded_log_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, about = tmp_path / "lab.log", tmp_path / "lab.json"
+    with talking(BUS, Frame(0x520, bytes(8))):
+        assert main(["record", BUS, "-o", str(log), "--seconds", "0.5"]) == 0
+    assert capsys.readouterr().err.endswith(f" frames in {log}, about it in {about}\n") and about.exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -52,7 +53,8 @@ def test_the_cars_frames_are_sent_and_the_rest_is_reported(
     assert main(["replay", log, "-i", BUS]) == 0
     gps = "621#01"
     assert received(bus, 4) == ["520#0000030000000000", "523#640064006400", gps, "520#0000030000000000"]
-    left_out = "fsai-vcu replay: left out: 1 frames of the AI computer's own ids\n"
+    own = "0x510 to 0x514, the AI computer's own (--with-ai-ids: send them too)"
+    left_out = f"fsai-vcu replay: left out: 1 frames of {own}\n"
     assert capsys.readouterr().err == f"{left_out}4 frames sent\n"
 
 
@@ -74,8 +76,18 @@ def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=60.0)[1]
     assert process.returncode == 0
-    lines = [line for line in said.splitlines() if not line.endswith("ms late")]
+    lines = [line for line in said.splitlines() if " ms late" not in line]
     assert lines[-1].endswith(" frames sent")
+
+
+def test_ctrl_c_says_how_much_of_the_log_was_sent(log: str, bus: CanBus) -> None:
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "replay", log, "-i", BUS, "--loop", "100000"]
+    process = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True)
+    assert bus.recv(60.0) is not None
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60.0)[1]
+    assert process.returncode == 0
+    assert re.search(r"^interrupted: \d+ of 400000 frames sent$", said, re.MULTILINE)
 
 
 def test_a_broken_log_is_sent_up_to_the_break_and_fails(

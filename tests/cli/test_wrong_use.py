@@ -59,6 +59,12 @@ USES = [
     ("record -i no0 -o x.log --config x.toml", 2, "--config goes with --service"),
     ("record --service --config gone.toml", 1, "gone.toml: cannot be read: No such file"),
     ("decode folder", 1, "folder: no log in this folder"),
+    ("drive --mision acceleration", 2, "unrecognized arguments: --mision acceleration; did you mean --mission"),
+    ("config chek", 2, "fsai-vcu config: invalid choice: 'chek'; did you mean check?"),
+    ("dump run.log -t q", 2, "argument -t: invalid choice: 'q'; there are: a, A, d, z"),
+    ("plot run.log", 2, "no signal is named: fsai-vcu plot run.log ANGLE 'VCU2AI_Speeds.*'"),
+    (f"report {BUS} --seconds 1", 2, "-o is missing: -o report.html"),
+    ("send no0 513#3200", 2, "'513#3200' is a raw frame, for cansend; here: MESSAGE SIGNAL=VALUE"),
     # ---------------------------------------------------------------- databases and dumps
     ("dbc show VCU2AI_Stear", 1, "no message or signal VCU2AI_Stear in 2026; did you mean VCU2AI_Steer"),
     ("dbc show 0x513 nothing", 1, "no message or signal nothing in 2026"),

@@ -96,8 +96,12 @@ def test_the_catalogue_is_listed_for_people(capsys: pytest.CaptureFixture[str]) 
     listed = capsys.readouterr().out
     assert main(["campaign", "--list"]) == 0
     assert capsys.readouterr().out == listed
-    assert "status_lost" in listed and "duration 10…30" in listed
-    for word, found in (("Steer", "steer"), ("no such word", "no kind of fault with 'no such word'")):
+    assert "status_lost" in listed and "duration 10…30, 82…86, 130…2500 ms]" in listed
+    for word, found in (
+        ("Steer", "steer"),
+        ("wheel speed", "speed"),
+        ("no such word", "no kind of fault with 'no such word'"),
+    ):
         assert main(["drive", "--list-faults", word]) == 0
         lines = capsys.readouterr().out.splitlines()
         assert lines and all(found in line.lower() for line in lines)

@@ -157,7 +157,7 @@ def test_a_recorder_asked_to_end_has_everything_on_disk(
     assert process.returncode == 0
     kept = numbers(path)
     assert kept == list(range(kept[0], sent[-1][0] + 1))
-    assert said == f"{len(kept)} frames in {path}\n"
+    assert said == f"{len(kept)} frames in {path}, about it in {path.with_suffix('.json')}\n"
     about = json.loads(path.with_suffix(".json").read_text())
     assert (about["frames"], about["revision"]) == (len(kept), "2021")
     assert about["operational_limits"]["content"] == "max_speed_mps = 5.0  # the paddock\n"

@@ -252,12 +252,18 @@ def read_log(path: Path | str) -> tuple[Frames, Problems]:
         return joined(log.chunks()), log.problems
 
 
+NO_LOGS: Final = frozenset({".json", ".png", ".svg", ".html"})
+"""Endings of files that a recording or a drive leaves beside its log, and that nobody takes for a log."""
+
+
 def _meant(path: Path, error: BaseException) -> str:
     """The files beside one that is not there which were perhaps meant."""
     if not isinstance(error, FileNotFoundError):
         return ""
     with suppress(OSError):
-        return did_you_mean(path.name, (each.name for each in islice(path.parent.iterdir(), _BESIDE)), few=0)
+        beside = islice(path.parent.iterdir(), _BESIDE)
+        names = (each.name for each in beside if each.suffix.lower() not in NO_LOGS)
+        return did_you_mean(path.name, names, few=0)
     return ""
 
 

@@ -58,7 +58,8 @@ def choose(frames: Frames, *, with_ai_ids: bool, physical: bool) -> tuple[Frames
         not_sent.append(("frames of reserved ids", np.isin(frames.can_id, list(RESERVED_IDS))))
     if not with_ai_ids:
         standard = (frames.flags & EXTENDED) == 0
-        not_sent.append(("frames of the AI computer's own ids", standard & np.isin(frames.can_id, AI_IDS)))
+        own = f"frames of 0x{AI_IDS[0]:X} to 0x{AI_IDS[-1]:X}, the AI computer's own (--with-ai-ids: send them too)"
+        not_sent.append((own, standard & np.isin(frames.can_id, AI_IDS)))
     sent: Mask = np.ones(len(frames), np.bool_)
     left_out = []
     for what, mask in not_sent:

@@ -18,7 +18,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.log.frames import CLASSIC_BYTES
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.errors import UserError, did_you_mean
+from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS
 from fsai_vcu.interface.slots import unit_of
@@ -84,6 +84,8 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
     layouts = list(databases.layouts.values())
     number = int(words, 16) if _NUMBER.fullmatch(words) else None
     matching = [each for each in layouts if each.can_id == number or each.name.casefold() == words.casefold()]
+    if "#" in words:
+        raise WrongUse(f"'{words}' is a raw frame, for cansend; here: MESSAGE SIGNAL=VALUE")
     if not matching and number is not None:
         raise UserError(f"no message has the identifier {words}")
     if not matching:

@@ -347,8 +347,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_limit("rear_limit", inject.DRIVE_R, "the rear axle's torque limit"),
     *_feedback("steering", inject.STEER, "the steering angle", frozen=ODD),
     *_needless("brakes", inject.BRAKE, "brake feedback", lost=Graded(((0, ECHO_REPLACED),))),
-    *_feedback("speeds", inject.SPEEDS, "wheel speeds", frozen=ANY),
-    *_needless("counts", inject.COUNTS, "wheel pulses", frozen=UNBELIEVED),
+    *_feedback("speeds", inject.SPEEDS, "the wheel speed message", frozen=ANY),
+    *_needless("counts", inject.COUNTS, "the wheel pulse message", frozen=UNBELIEVED),
     Entry("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
         inject.from_car(inject.LOGS, "flipped"), NOTHING, lasts((20, 4000)), Draw("bits", (1, 12))
     ),

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS
-from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
+from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
 from fsai_hil.evidence.work import Header
 
 RunLine = Mapping[str, Any]
@@ -20,6 +20,7 @@ HEAD: Final = (
     " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
 )
 LISTED: Final = 40  # failures
+_IN_MS: Final = frozenset({"duration", "delay"})  # parameters of faults
 
 
 def failures(runs: Sequence[RunLine]) -> list[RunLine]:
@@ -158,8 +159,15 @@ def _ms(value: float | None) -> str:
     return "–" if value is None else f"{value:.0f}"
 
 
+def _drawn(kind: FaultKind) -> str:
+    return "; ".join(f"{draw}{' ms' * (draw.name in _IN_MS)}" for draw in kind.draws)
+
+
 def catalogue_lines(word: str = "") -> list[str]:
     """The catalogue for a terminal, or the lines of it with that word: `--list-faults`."""
     width = max(len(kind.name) for kind in ROWS)
-    lines = [f"{kind.name:<{width}}  {kind.what}" + (f" [{kind.parameters}]" if kind.draws else "") for kind in ROWS]
-    return [line for line in lines if word.casefold() in line.casefold()] or [f"no kind of fault with '{word}'"]
+    lines = [f"{kind.name:<{width}}  {kind.what}" + (f" [{_drawn(kind)}]" if kind.draws else "") for kind in ROWS]
+    words = word.casefold().split()
+    return [line for line in lines if all(each in line.casefold() for each in words)] or [
+        f"no kind of fault with '{word}'"
+    ]
