@@ -348,7 +348,7 @@ def test_a_car_that_drives_straight_on_does_not_slip() -> None:
     assert slipped(replace(last, x_m=1.0, y_m=2.0), last, motion) == replace(motion, x_m=4.0, y_m=2.0)
 
 
-def test_a_wild_yaw_rate_throws_the_car_no_further_than_tyres_slip() -> None:
+def test_a_wild_yaw_rate_moves_the_car_no_more_than_tyres_slip() -> None:
     last = Motion(speed_mps=15.0)
     wild = replace(last, x_m=3.0, distance_m=3.0, yaw_rate_radps=1e3)
     assert abs(slipped(last, last, wild).y_m) < 0.3

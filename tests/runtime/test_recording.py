@@ -180,7 +180,8 @@ def test_a_recorder_of_a_silent_bus_is_stopped_without_failure(
 def test_silence_fails_and_leaves_no_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--mcap"]
     assert main(argv) == 1, "the bus is silent"
-    assert capsys.readouterr().err.endswith(f"fsai-vcu record: nothing was received on loopback:{BUS}\n")
+    words = f"fsai-vcu record: nothing was received on loopback:{BUS}: {tmp_path / 'run.log'} was not made\n"
+    assert capsys.readouterr().err.endswith(words)
     assert list(tmp_path.iterdir()) == [], "an empty log keeps the next one from its name"
 
 
