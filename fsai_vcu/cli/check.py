@@ -10,6 +10,8 @@ from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.output import write_out
 from fsai_vcu.cli.sources import LogRead, Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
+from fsai_vcu.diagnostics.verdict.of_bus import periods_kept
+from fsai_vcu.diagnostics.verdict.own_faults import impossible
 from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -80,9 +82,10 @@ def _say(args: argparse.Namespace, found: Judged | None, run: str, log: str) -> 
         write_out(shown.encode())
     verdict = found.verdict
     of_run = {"run": run} if run else {}
+    right = [] if impossible(found.buses) else [periods_kept(bus) for bus in found.buses]
     told = [json.dumps(each | of_run) for each in verdict.as_dicts()]
     if not args.json:
-        told = [*verdict.lines(), f"{'of this run' if run else 'verdict'}: {verdict.line()}"]
+        told = [*filter(None, right), *verdict.lines(), f"{'of this run' if run else 'verdict'}: {verdict.line()}"]
     write_out("".join(f"{line}\n" for line in told).encode())
     return verdict.ok
 
@@ -95,7 +98,7 @@ def _as_json(bus: BusStatistics, *, figures: bool) -> str:
 _COLUMNS = (  # title and unit
     *(("id", ""), ("message", ""), ("frames", ""), ("period", "ms"), ("median", "ms")),
     *(("jitter p50", "ms"), ("jitter p99", "ms"), ("jitter max", "ms")),
-    *(("gaps", ""), ("longest gap", "ms"), ("frozen", "ms"), ("load", "")),
+    *(("gaps", ""), ("longest gap", "ms"), ("unchanged", "ms"), ("load", "")),
 )
 
 
@@ -116,7 +119,7 @@ def _for_people(bus: BusStatistics, log: str, *, figures: bool) -> str:
             ]
             lines.append("  ".join(cells).rstrip())
         lines.append("period: expected; median: of the intervals received; jitter: how much they miss the period")
-        lines.append("frozen: the longest time with one and the same payload")
+        lines.append("unchanged: the longest time with one and the same payload")
         handshake = bus.handshake
         if handshake is not None and handshake.response_ms.p50_ms is not None:
             lines.append(

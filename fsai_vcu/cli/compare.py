@@ -7,6 +7,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
@@ -22,9 +23,10 @@ from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
-Prints messages that are in one log only, mean periods more than 10 % apart,
-signals whose range or mean differs by more than 10 % of their range (the first
-log's values, then the second's), and each log's problems, as check tells them.
+Prints each log's problems, as check tells them, states and numbers whose share,
+range or mean differs by more than 10 % of their range (the first log's values,
+and the second's), messages that are in one log only, and mean periods more than
+10 % apart.
 Exit status: 0 nothing differs, 1 something does, or something could not be read,
 2 wrong use. --from and --to count from each log's own first frame; with
 --messages or --signals no problems are told."""
@@ -66,14 +68,27 @@ def run(args: argparse.Namespace) -> int:
                 differences.append((f"only in {name}: {line}", {"problem": line, "only_in": name}))
     if first.revision.name != second.revision.name:
         revisions = {"first": first.revision.name, "second": second.revision.name}
-        differences.append(("interface revision: {first}, then {second}".format(**revisions), {"revision": revisions}))
+        differences.append(
+            ("interface revision: first {first}, second {second}".format(**revisions), {"revision": revisions})
+        )
+    states, numbers = _signals(first, second, patterns or ["*"])
+    differences += states
     differences += [] if patterns else _messages(args.logs, *(one.bus for one in found))
-    differences += _signals(first, second, patterns or ["*"])
+    differences += numbers
     if args.json:
         print("".join(f"{json.dumps({**facts, 'words': words})}\n" for words, facts in differences), end="")
     else:
-        print("\n".join(words for words, _ in differences) if differences else "nothing differs")
+        print("\n".join(_for_people(args.logs, differences)) if differences else "nothing differs")
     return 1 if differences else status
+
+
+def _for_people(logs: Sequence[str], differences: Sequence[Difference]) -> Iterator[str]:
+    """The lines: which log is which, then the differences, with the messages of one log only in one line."""
+    yield f"first: {logs[0]}, second: {logs[1]}"
+    for alone, some in groupby(differences, lambda one: one[1].get("only_in", "") if "message" in one[1] else ""):
+        lines = [words for words, _ in some]
+        begin = f"only in {alone}: "
+        yield from [begin + ", ".join(line.removeprefix(begin) for line in lines)] if alone else lines
 
 
 def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
@@ -91,6 +106,9 @@ def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
 
 
 def _messages(logs: Sequence[str], first: BusStatistics, second: BusStatistics) -> Iterator[Difference]:
+    """The messages of one log only, those of a log together, then other periods."""
+    periods_differ: list[Difference] = []
+    alone: tuple[list[Difference], list[Difference]] = [], []
     ours, theirs = ({(m.extended, m.can_id): m for m in bus.messages} for bus in (first, second))
     for key in sorted({*ours, *theirs}):
         before, after = ours.get(key), theirs.get(key)
@@ -100,12 +118,18 @@ def _messages(logs: Sequence[str], first: BusStatistics, second: BusStatistics) 
         periods = {"first": before and before.mean_ms, "second": after and after.mean_ms}
         facts = {"message": there.name, "id": there.can_id, "mean_ms": periods}
         if before is None or after is None:
-            yield f"only in {logs[before is None]}: {name}", facts
+            where = logs[before is None]
+            alone[before is None].append((f"only in {where}: {name}", {**facts, "only_in": where}))
         elif before.mean_ms and after.mean_ms and abs(after.mean_ms / before.mean_ms - 1.0) > SHARE:
-            yield f"{name}: every {before.mean_ms:.1f} ms, then every {after.mean_ms:.1f} ms", facts
+            words = f"{name}: first every {before.mean_ms:.1f} ms, second every {after.mean_ms:.1f} ms"
+            periods_differ.append((words, facts))
+    yield from (*alone[0], *alone[1], *periods_differ)
 
 
-def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[Difference]:
+def _signals(first: Record, second: Record, patterns: list[str]) -> tuple[list[Difference], list[Difference]]:
+    """The signals that differ: states, then numbers."""
+    states: list[Difference] = []
+    numbers: list[Difference] = []
     for layout in first.decoder.databases.layouts.values():
         for signal in layout.signals_like(patterns):
             before, after = (record.series(Signal(layout.name, signal.name)) for record in (first, second))
@@ -114,14 +138,20 @@ def _signals(first: Record, second: Record, patterns: list[str]) -> Iterator[Dif
             ranges = [(float(s.values.min()), float(s.values.mean()), float(s.values.max())) for s in (before, after)]
             width = max(ranges[0][2], ranges[1][2]) - min(ranges[0][0], ranges[1][0])
             if any(abs(new - old) > SHARE * width for old, new in zip(*ranges, strict=True)):
-                words = ", then ".join(
-                    _shares(series, signal.choices) if signal.choices else f"{low:g} to {high:g} (mean {mean:.4g})"
-                    for series, (low, mean, high) in zip((before, after), ranges, strict=True)
+                words = ", ".join(
+                    f"{which} {_shares(series, signal.choices)}"
+                    if signal.choices
+                    else f"{which} {low:g} to {high:g} (mean {mean:.4g})"
+                    for which, series, (low, mean, high) in zip(
+                        ("first", "second"), (before, after), ranges, strict=True
+                    )
                 )
                 facts: dict[str, Any] = {"signal": f"{layout.name}.{signal.name}", "unit": signal.unit}
                 for log, (low, mean, high) in zip(("first", "second"), ranges, strict=True):
                     facts[log] = {"min": low, "mean": mean, "max": high}
-                yield f"{layout.name}.{signal.name}: {words} {signal.unit}".rstrip(), facts
+                found = f"{layout.name}.{signal.name}: {words} {signal.unit}".rstrip(), facts
+                (states if signal.choices else numbers).append(found)
+    return states, numbers
 
 
 def _shares(series: Series, choices: Mapping[int, str]) -> str:
@@ -129,4 +159,5 @@ def _shares(series: Series, choices: Mapping[int, str]) -> str:
     values, counts = np.unique(series.values, return_counts=True)
     most = np.argsort(-counts, kind="stable")[:SHOWN]
     shares = (f"{choices.get(int(values[at]), f'{values[at]:g}')} {counts[at] / len(series):.0%}" for at in most)
-    return " ".join(shares)
+    others = 1.0 - counts[most].sum() / len(series)
+    return " ".join((*shares, *([f"others {others:.0%}"] if len(counts) > SHOWN else [])))

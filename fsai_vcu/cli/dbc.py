@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             continue
         print(_head(layout))
         if args.what == "show":
-            print("".join(f"    {_signal(signal)}\n" for signal in layout.signals), end="")
+            print("".join(f"    {_shown(signal)}\n" for signal in layout.signals), end="")
     if unknown:
         names = (layout.name for layout in layouts)
         signals = (signal.name for layout in layouts for signal in layout.signals)
@@ -116,6 +116,17 @@ def _signal(signal: SignalLayout) -> str:
     words = ", ".join(f"{value} {word}" for value, word in sorted(signal.choices.items()))
     bits = "1 bit" if signal.length == 1 else f"{signal.length} bits"
     return f"{signal.name}: bit {signal.start}, {bits} {kind}{scale}{offset}{unit}{': ' + words if words else ''}"
+
+
+def _shown(signal: SignalLayout) -> str:
+    """The signal with its range, byte order and comment; what is told at once by one bit or by words is left out."""
+    found = _signal(signal)
+    if not signal.choices and signal.length > 1:
+        if signal.minimum is not None and signal.maximum is not None:
+            found += f", {signal.minimum:g} to {signal.maximum:g}"
+        if signal.length > 8 or signal.big_endian:
+            found += ", big-endian" if signal.big_endian else ", little-endian"
+    return f"{found}\n        {printable(signal.comment)}" if signal.comment else found
 
 
 def _differences(ours: Mapping[int, MessageLayout], theirs: Mapping[int, MessageLayout]) -> Iterator[str]:

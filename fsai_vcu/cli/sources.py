@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fsai_vcu.cli.ending import ending
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
-from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.frames import EXTENDED, Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.diagnostics.log.recorded import IN_ORDER, Recorded, is_virtual, lost_words, recorded
 from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.printable import printable
 
 if TYPE_CHECKING:
@@ -110,6 +112,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
             bitrate=rate,
             begin_ns=sources.first_ns,
             recorded=sources.recorded,
+            left_out=sources.left_out_keys(part, decoding),
         )
     except NoFrames as error:
         raise UserError(f"no frame of {sources.name} is in that part") from error
@@ -221,6 +224,22 @@ class Sources:
                 last_ns = first_ns
             runs[-1].append(rule)
         return [self] if len(runs) == 1 else [self._with(rules) for rules in runs]
+
+    def left_out_keys(self, part: Part, decoding: Decoding) -> frozenset[int]:
+        """The keys of the messages that neither any of the filters nor the part lets through."""
+        rules = [rule for _, rule in self._rules]
+        if not part.chooses_messages and not all(rules):
+            return frozenset()
+        import numpy as np
+
+        known = {key for databases in decoding.possible() for key in databases.layouts}
+        keys = np.array(sorted({*known, *AI_IDS, *VCU_IDS}), np.uint32)
+        zeros = np.zeros(len(keys), np.int64)
+        extended = keys & np.uint32(EXTENDED_KEY) != 0
+        can_ids, flags = keys & np.uint32(EXTENDED_KEY - 1), np.where(extended, EXTENDED, 0).astype(np.uint8)
+        one_each = Frames(zeros, can_ids, flags, flags, zeros.astype(np.uint64), zeros.astype(np.int32))
+        passes = np.logical_or.reduce([rule.passes(one_each) for rule in rules]) & part.has(can_ids)
+        return frozenset(keys[~passes].tolist())
 
     def _with(self, rules: list[tuple[str, FrameFilter]]) -> Sources:
         one = copy(self)

@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 _CAR_RESTART: Final = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
-_MOVE_STEERING: Final = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
+_MOVE_STEERING: Final = (
+    "move the steering by hand, and by static inspection A (a mission on the AMI): column, motor, angle sensor"
+)
 _TURN_WHEELS: Final = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
 _SEE_FAULT: Final = "put the fault right that 0x520 names, then switch the car off and on"
 _SENDER: Final = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"

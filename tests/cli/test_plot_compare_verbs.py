@@ -77,8 +77,9 @@ def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.Captu
     other = log(tmp_path / "b.log", period_ms=20, angle=80)
     assert main(["compare", str(log(tmp_path / "a.log")), str(other)]) == 1
     assert capsys.readouterr().out.splitlines() == [
-        "0x523 VCU2AI_Steer: every 10.0 ms, then every 20.0 ms",
-        "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg",
+        f"first: {tmp_path}/a.log, second: {tmp_path}/b.log",
+        "0x523 VCU2AI_Steer: first every 10.0 ms, second every 20.0 ms",
+        "VCU2AI_Steer.ANGLE: first 5 to 5 (mean 5), second 8 to 8 (mean 8) deg",
     ]
 
 
@@ -91,8 +92,22 @@ def test_problems_come_first_and_states_in_words(tmp_path: Path, capsys: pytest.
         path.write_text("".join(lines))
     assert main(["compare", *map(str, logs)]) == 1
     said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith(f"only in {logs[1]}: at ") and "EMERGENCY_BRAKE" in said[0]
-    assert said[-1] == "VCU2AI_Status.AS_STATE: AS_READY 100%, then AS_READY 50% EMERGENCY_BRAKE 50%"
+    assert said[1].startswith(f"only in {logs[1]}: at ") and "EMERGENCY_BRAKE" in said[1]
+    assert said[-1] == "VCU2AI_Status.AS_STATE: first AS_READY 100%, second AS_READY 50% EMERGENCY_BRAKE 50%"
+
+
+def test_shares_are_whole_and_messages_of_one_log_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [tmp_path / "a.log", tmp_path / "b.log"]
+    for path, states, more in zip(
+        logs, ("22222", "23456"), ("", "(9.9) can0 513#0500\n(9.9) can0 525#\n"), strict=True
+    ):
+        path.write_text("".join(f"({n}.0) can0 520#00000{s}0000000000\n" for n, s in enumerate(states)) + more)
+    assert main(["compare", *map(str, logs)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    (state,) = [line for line in said if line.startswith("VCU2AI_Status.AS_STATE: ")]
+    assert state.endswith(" others 20%")
+    alone = f"only in {logs[1]}: 0x513 AI2VCU_Steer, 0x525 VCU2AI_Speeds"
+    assert said.index(state) < said.index(alone), "states first"
 
 
 def test_each_difference_is_an_object_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,7 +132,7 @@ def test_problems_of_one_log_alone_are_check_lines(tmp_path: Path, capsys: pytes
     second.write_text("\n".join([*lines[:50], lines[50][:-2], *lines[51:]]) + "\n")
     assert main(["compare", str(first), str(second)]) == 1
     words = "VCU2AI_Steer (0x523) must have 6 bytes: 1 of 5 bytes"
-    assert capsys.readouterr().out == f"only in {second}: at 0.500 s: {words}\n"
+    assert capsys.readouterr().out.splitlines()[1:] == [f"only in {second}: at 0.500 s: {words}"]
 
 
 def test_values_that_no_database_names_are_not_called_equal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,7 +147,7 @@ def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: p
     added = [f"({2.6 + ms / 1000:.6f}) can0 513#0500" for ms in range(0, 400, 10)]
     second.write_text("\n".join(sorted([*second.read_text().splitlines(), *added])) + "\n")
     argv = ["compare", str(first), str(second)]
-    angle = "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg"
+    angle = "VCU2AI_Steer.ANGLE: first 5 to 5 (mean 5), second 8 to 8 (mean 8) deg"
     new = f"only in {second}: 0x513 AI2VCU_Steer"
     for part, lines in (
         ([], [new, angle]),
@@ -143,7 +158,7 @@ def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: p
     ):
         main([*argv, *part])
         shown = capsys.readouterr()
-        assert shown.out.splitlines() == lines if lines else "no frame of" in shown.err
+        assert shown.out.splitlines()[lines != ["nothing differs"] :] == lines if lines else "no frame of" in shown.err
     assert main([*argv, "--signals", "NO_SUCH"]) == 1
     assert "no signal NO_SUCH" in capsys.readouterr().err
     assert main([*argv, "--signals", "ANGEL"]) == 1

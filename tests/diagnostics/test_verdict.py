@@ -556,3 +556,23 @@ def test_a_car_that_was_switched_off_has_not_restarted(drive: Frames) -> None:
     ended = drive.only(drive.t_ns < drive.t_ns[-1] - S)
     again = ended.at(ended.t_ns + (ended.t_ns[-1] - ended.t_ns[0]) + 10 * S)
     assert not found(joined([ended, again]), "restart")
+
+
+@pytest.mark.parametrize("chosen", [",520:7F8", " --messages VCU2AI_*", " --messages AI2VCU_*", " --messages 0x525"])
+def test_what_a_filter_leaves_out_is_not_missing(
+    drive: Frames, chosen: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(b"\n".join(log_lines(drive)) + b"\n")
+    whole = judged(drive)
+    assert main(["check", *f"{path}{chosen}".split()]) == 0
+    said = capsys.readouterr().out
+    assert said.endswith("verdict: OK, of the chosen messages alone\n") and "never received" not in said
+    assert whole.ok and "chosen" not in whole.line()
+
+
+def test_a_message_that_is_chosen_is_missing(drive: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(b"\n".join(log_lines(without(drive, 0x523))) + b"\n")
+    assert main(["check", str(path), "--messages", "VCU2AI_*"]) == 1
+    assert "problem: VCU2AI_Steer (0x523) was never received" in capsys.readouterr().out

@@ -231,6 +231,9 @@ def _signal_layout(signal: Signal) -> SignalLayout:
         signal.offset,
         unit_of(signal),
         {int(raw): str(name) for raw, name in (signal.choices or {}).items()},
+        None if signal.minimum is None else float(signal.minimum),
+        None if signal.maximum is None else float(signal.maximum),
+        " ".join((signal.comment or "").split()),
     )
 
 

@@ -14,7 +14,8 @@ class SignalLayout(NamedTuple):
     """Layout of a signal of a plain message: its place and the meaning of its bits.
 
     start: its lowest bit in the eight bytes (zeros behind the message's own) as a number, little-endian or big-endian.
-    The value is raw * scale + offset, reckoned with the very types that the database has: int or float.
+    The value is raw * scale + offset, reckoned with the very types that the database has: int or float. minimum,
+    maximum: in the unit; None: the database names none.
     """
 
     name: str
@@ -27,6 +28,9 @@ class SignalLayout(NamedTuple):
     offset: float
     unit: str
     choices: Mapping[int, str]
+    minimum: float | None = None
+    maximum: float | None = None
+    comment: str = ""
 
 
 class MessageLayout(NamedTuple):

@@ -264,7 +264,8 @@ def shared_memory(machine: Machine) -> Iterator[Finding]:
     if machine.dds_leftovers:
         files = "1 file" if len(machine.dds_leftovers) == 1 else f"{len(machine.dds_leftovers)} files"
         words = (
-            f"{files} in /dev/shm of ROS programs that were killed: the nodes do not use them, other programs may hang"
+            f"{files} in /dev/shm of ROS programs that were killed (no process holds a lock on them): the nodes do not"
+            " use them, other programs may hang"
         )
         yield Finding("note", "DDS", words, f"sudo rm -f {' '.join(machine.dds_leftovers[:_AT_ONCE])}")
 

@@ -392,6 +392,6 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         (wheel.implausible_since_ns, Reason.WHEEL_IMPLAUSIBLE, 0x525, wheel.detail),
     ):
         if since_ns is not None and t_ns - since_ns >= shown_ns:
-            text = f"{what}: implausible for {ms(t_ns - since_ns)}"
+            text = f"{what}: implausible for {ms(t_ns - since_ns)} until then"
             found.append(shown(reason.slug, ChainLink(since_ns, text, can_id)))
     return found

@@ -75,7 +75,8 @@ def _incident_lines(story: Explanation, incident: Incident, paint: Any, *, more:
     """Yield the lines of an incident; `more`: also what to record next time."""
     colour = "33;1" if incident.planned else "31;1"
     planned = " (as planned)" if incident.planned else ""
-    heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"
+    what = incident.what.removeprefix("EMERGENCY_BRAKE ") if incident.kind is IncidentKind.EMERGENCY else incident.what
+    heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {what}"
     yield paint(heading, colour)
     first = incident.candidates[0]
     yield from _wrapped(f"because {first.cause.words}", "  ", paint, "1")

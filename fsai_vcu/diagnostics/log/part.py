@@ -8,8 +8,9 @@ from datetime import datetime, timedelta, timezone
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
-from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames
+from fsai_vcu.diagnostics.log.frames import EPOCH_NS, Frames, Mask
 from fsai_vcu.interface.errors import WrongUse
 
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::([0-5]\d(?:\.\d+)?))?")
@@ -47,6 +48,17 @@ class Part:
         return self._begin is not None or self._end is not None or self._ids is not None
 
     @property
+    def chooses_messages(self) -> bool:
+        """True where only messages by name are in the part."""
+        return self._ids is not None
+
+    def has(self, can_ids: npt.NDArray[np.uint32]) -> Mask:
+        """Select the identifiers whose messages are in the part."""
+        if self._ids is None:
+            return np.ones(len(can_ids), np.bool_)
+        return np.isin(can_ids, np.fromiter(self._ids, np.uint32))
+
+    @property
     def needs_the_end(self) -> bool:
         """True where a bound depends on when the log ends; `ends_at` then says so."""
         return self._last_ns is None and any(each and each.count(":") == 1 for each in (self._begin, self._end))
@@ -77,9 +89,7 @@ class Part:
         if self._bounds is None:
             self._bounds = self.bounds(int(frames.t_ns[0]))
         inside = (frames.t_ns >= self._bounds[0]) & (frames.t_ns <= self._bounds[1])
-        if self._ids is not None:
-            inside &= np.isin(frames.can_id, np.fromiter(self._ids, np.uint32))
-        return frames.only(inside)
+        return frames.only(inside & self.has(frames.can_id) if self._ids is not None else inside)
 
 
 def _seconds(text: str | None, first_ns: int, last_ns: int) -> float | None:

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from enum import Enum
 from itertools import pairwise
 from typing import Any, Final
@@ -151,6 +151,11 @@ class BusStatistics:
     frozen_counts: tuple[tuple[str, float, float], ...]  # (signal, since s, for s) while its wheel turned
     backwards: int  # frames with a time before that of their predecessor
     backwards_at_s: float | None  # the first
+
+    def without(self, keys: frozenset[int]) -> BusStatistics:
+        """The same where the messages of these keys are not missing: they were left out."""
+        kept = (one for one in self.missing if (one.can_id | EXTENDED_KEY * one.extended) not in keys)
+        return replace(self, missing=tuple(kept))
 
     def as_dict(self) -> dict[str, Any]:
         names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames", "handshake")

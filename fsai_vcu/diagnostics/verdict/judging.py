@@ -87,12 +87,13 @@ def judged(
     bitrate: int | None = None,
     begin_ns: int | None = None,
     recorded: Recorded = IN_ORDER,
+    left_out: frozenset[int] = frozenset(),
 ) -> Judged:
     """All frames of a log, measured and judged; of those of a part with what came before and behind it as causes.
 
     Figures are of the part alone; of what happened, what has a moment in it counts. begin_ns: when the log began, where
-    its first frame is not among these. recorded: what the computer that recorded says of itself. Raises
-    explain.record.NoFrames.
+    its first frame is not among these. recorded: what the computer that recorded says of itself. left_out: keys of the
+    messages that a filter took away, which are not missing. Raises explain.record.NoFrames.
     """
     part = part or Part()
     frames = part.always().of(frames)
@@ -126,7 +127,8 @@ def judged(
     off_ns = [cycle[:2] for cycle in whole.power_cycles]
     buses = measure(frames, record.decoder, revision=record.revision.name, bitrate=bitrate, off_ns=off_ns)
     buses = [_with_gaps_before(bus, whole, part_ns) if bus.channel == whole.channel else bus for bus in buses]
-    verdict = _verdict(whole, part_ns, record, buses)
+    buses = [bus.without(left_out) for bus in buses] if left_out else buses
+    verdict = _verdict(whole, part_ns, record, buses, left_out)
     unknown = [words for words in (impossible(buses),) if words]
     findings = [
         one for one in verdict.findings if not ((unknown and by_times(one)) or of_the_recording(one, whole.recorded))
@@ -139,7 +141,8 @@ def judged(
         notes += [] if touched else [Finding("note", "busy", standstill)]
     findings = sorted([*findings, *notes], key=lambda one: (one.severity != "problem", one.t_ns or 0))
     unknown += [copies.words] if copies is not None and not copies.sure else []
-    verdict = replace(verdict, findings=tuple(findings), unknown=(*unknown, *verdict.unknown))
+    unknown += verdict.unknown
+    verdict = replace(verdict, findings=tuple(findings), unknown=tuple(unknown), chosen=bool(left_out))
     return Judged(record, buses, verdict)
 
 
@@ -162,7 +165,9 @@ def _with_gaps_before(bus: BusStatistics, whole: Record, part_ns: TimeRange) -> 
     return replace(bus, messages=tuple(map(whole_gap, bus.messages)))
 
 
-def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[BusStatistics]) -> Verdict:
+def _verdict(
+    whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[BusStatistics], left_out: frozenset[int]
+) -> Verdict:
     """Every finding on a part of a log; `record` and `buses`: of its frames alone."""
     explanation = explained(whole, part_ns)
     senders, cars = ([*within(part_ns, found)] for found in (whole.second_senders, whole.second_cars))
@@ -182,7 +187,7 @@ def _verdict(whole: Record, part_ns: TimeRange, record: Record, buses: Sequence[
             one for one in mistakes(whole, part_ns) if blamed.isdisjoint((one.kind, *SAID_BY.get(one.kind, ())))
         ]
     findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
-    unknown = (*_unknown(record), *perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
+    unknown = (*_unknown(record, left_out), *perhaps_frozen(whole, part_ns), *_not_judged(whole, buses))
     return Verdict(whole.begin_ns, explanation, tuple(findings), unknown)
 
 
@@ -267,9 +272,11 @@ def _not_judged(whole: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
         yield f"0x520 is on {others} too: only the car on {whole.channel} was judged; judge each bus by itself"
 
 
-def _unknown(record: Record) -> Iterator[str]:
+def _unknown(record: Record, left_out: frozenset[int]) -> Iterator[str]:
     """Say why this log cannot be called well even if nothing in it is wrong."""
-    if STATUS in record.unknown_ids:
+    if STATUS in left_out:
+        pass  # nobody asks for the car's state
+    elif STATUS in record.unknown_ids:
         yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
     elif STATUS in record.wrong_length and not record.has(STATUS):
         yield "every 0x520 has the wrong length, so the car's state is not known"
@@ -281,7 +288,7 @@ def _unknown(record: Record) -> Iterator[str]:
         yield "less than a second was recorded"
     elif not record.ai_speaks and record.unknown_ids.keys() & set(AI_IDS):
         yield "the database does not name the AI computer's messages (0x510 to 0x514): use the car's own, or --revision"
-    elif not record.ai_speaks:
+    elif not record.ai_speaks and not left_out.issuperset(AI_IDS):
         yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
     seen = told_revision(record.frames)
     if seen is not None and seen[0].name != record.revision.name:

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import DEAD_NS
 from fsai_vcu.diagnostics.finding import Finding
+from fsai_vcu.diagnostics.log.recorded import is_virtual
 from fsai_vcu.diagnostics.remedies import OURS, Setting, remedy_of
 from fsai_vcu.diagnostics.statistics.echoes import EchoFault
 from fsai_vcu.diagnostics.statistics.measure import (
@@ -178,12 +179,13 @@ class _Judge:
                 absent.setdefault(", ".join(layout.senders), []).append(name)
         if absent:
             # Boxes that are not on this bus have many messages: their count is enough.
-            words = (
+            words = [
                 (f"{len(names)} messages" if len(names) > MOST_NAMED else ", ".join(names))
                 + (f" of {sender}" if sender else "")
                 for sender, names in absent.items()
-            )
-            yield self._finding(False, "missing", f"never received: {'; '.join(words)}")
+            ]
+            why = " (usual in a simulation)" if is_virtual(self.bus.channel) else ""
+            yield self._finding(False, "missing", f"never received: {'; '.join(words)}{why}")
 
     def _handshake(self, handshake: Handshake) -> Iterator[Finding]:
         """Yield the findings on how the AI computer answers the HANDSHAKE."""
@@ -246,8 +248,7 @@ class _Judge:
             yield self._finding(supervised, "stopped", text, can_id, message.last_s)
         if can_id in self.known.shared:
             return
-        # A gap moves the mean, and a rhythm of short and long moves the median: a wrong period moves both.
-        off = min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
+        off = _off(message, expected_ms, p50_ms)
         mean_ms = message.mean_ms or expected_ms
         if message.count * mean_ms > _LONG_MS and mean_ms < (1.0 - _PERIOD_TOLERANCE) * expected_ms:
             rates = f"{1000 / mean_ms:.0f} Hz instead of {1000 / expected_ms:.0f} Hz"
@@ -380,6 +381,25 @@ def _shared(pause: list[_Pause]) -> tuple[int, int]:
     if length_ns <= 0:
         return pause[0].begin_ns, max(one.length_ns for one in pause)
     return begin_ns, length_ns
+
+
+def _off(message: MessageStatistics, expected_ms: float, p50_ms: float) -> float:
+    """By which share it misses its period: a gap moves the mean, and a rhythm of short and long the median."""
+    return min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
+
+
+def periods_kept(bus: BusStatistics) -> str:
+    """The sentence on a bus whose messages all come in their periods, without a gap; '' for any other."""
+    timed = [(m, m.expected_ms, m.interval_ms.p50_ms) for m in bus.messages if m.expected_ms is not None]
+    for message, expected_ms, p50_ms in timed:
+        if p50_ms is None or message.gaps or message.silent_ms >= _LOST_PERIODS * expected_ms:
+            return ""
+        if _off(message, expected_ms, p50_ms) > _PERIOD_TOLERANCE:
+            return ""
+    whose = (
+        "the 1 message that has a period comes" if len(timed) == 1 else f"all {len(timed)} messages with a period come"
+    )
+    return f"{whose} in it, without gaps" if timed else ""
 
 
 def _in_its_period(message: MessageStatistics) -> bool:

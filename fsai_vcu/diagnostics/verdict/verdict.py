@@ -18,12 +18,15 @@ UNREAD: Final = "not everything could be read"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """`unknown`: what could not be judged, and why; where there is such a thing nothing is called OK."""
+    """`unknown`: what could not be judged, and why; where there is such a thing nothing is called OK. chosen: a filter
+    left messages out, and of those nothing is said.
+    """
 
     begin_ns: int
     explanation: Explanation
     findings: tuple[Finding, ...]
     unknown: tuple[str, ...] = ()
+    chosen: bool = False
 
     @property
     def problems(self) -> int:
@@ -45,7 +48,8 @@ class Verdict:
     def line(self) -> str:
         """Return the verdict in one line, without findings."""
         notes = len(self.findings) - self.problems
-        end = f" ({notes} note{'s' * (notes > 1)})" if notes else ""
+        end = ", of the chosen messages alone" if self.chosen else ""
+        end += f" ({notes} note{'s' * (notes > 1)})" if notes else ""
         if self.problems:
             return f"NOT OK: {self.problems} problem{'s' * (self.problems > 1)}{end}"
         if self.unknown:

@@ -160,7 +160,7 @@ def _drive_with_fault(args: argparse.Namespace, views: Views | None) -> Driven:
             if not args.json:
                 narrator.look()
     verdict = scenario.verdict()
-    where = f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}"
+    where = f"{case.mission.name.lower()}, revision {case.revision}, seed {case.seed}"
     judged = "as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW"
     lines = [f"{where}; repeat this run:\n  {case.replay}\n", *narrator.lines(verdict), judged]
     return verdict.ok, rig.world.runs[-1], as_record(case, verdict, {}), lines

@@ -89,7 +89,10 @@ class JudgeVerdict(Value, frozen=True):
         """One line for people."""
         parts = [f"{self.mission}: {self.result.upper()}"]
         if self.lap_times_s:
-            parts.append(f"laps {self.laps} ({', '.join(f'{t:.2f} s' for t in self.lap_times_s)})")
+            times = ", ".join(f"{t:.2f} s" for t in self.lap_times_s)
+            parts.append(
+                f"{times} from line to line" if self.mission == "acceleration" else f"laps {self.laps} ({times})"
+            )
         parts.append(f"{self.distance_m:.1f} m, mean {self.mean_speed_mps:.1f} m/s, top {self.top_speed_mps:.1f} m/s")
         parts.append(f"cones hit {self.cones_hit}, off course {self.off_course}")
         if self.reasons:

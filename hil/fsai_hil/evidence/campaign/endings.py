@@ -66,12 +66,17 @@ class Must(Value, frozen=True):
         return " or ".join(end.value.partition(",")[0] for end in End if end in self.ends)
 
     @property
-    def demanded(self) -> str:
-        """All of it in words."""
+    def allowed(self) -> str:
+        """Name the ends that are allowed, and the times."""
         limits = ", torque 0 meanwhile" if self.pauses else ""
         limits += f" (service brake within {self.brake_ms:g} ms)" if self.brake_ms is not None else ""
         limits += f" (safe within {self.safe_ms:g} ms)" if self.safe_ms is not None else ""
-        return (f"{self.note}: " if self.note else "") + self.words + limits
+        return self.words + limits
+
+    @property
+    def demanded(self) -> str:
+        """All of it in words."""
+        return (f"{self.note}: " if self.note else "") + self.allowed
 
 
 class Graded(Value, frozen=True):

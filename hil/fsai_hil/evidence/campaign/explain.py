@@ -43,11 +43,13 @@ class ScenarioNarrator:
     def _follow(self, now_ns: int, report: BridgeReport) -> None:
         """Note what has changed in the bridge's report since the last look."""
         reasons = frozenset(report.reasons)
+        elsewhere = "" if report.phase.startswith("AS_DRIVING") else " (the car is not in AS_DRIVING)"
+        by_ebs = " (the EBS has to brake)" if report.phase.startswith("EMERGENCY_BRAKE") else ""
         for slug in sorted(reasons - self._reasons):
             detail = report.reason_details.get(slug)
             self._events.append((now_ns, f"bridge sees: {words_of(slug)}" + (f" ({detail})" if detail else "")))
         for slug in sorted(self._reasons - reasons):
-            self._events.append((now_ns, f"bridge sees no longer: {words_of(slug)}"))
+            self._events.append((now_ns, f"bridge no longer reports{elsewhere}: {words_of(slug)}"))
         self._reasons = reasons
         self._change(now_ns, "bridge", f"bridge: {report.phase}")
         self._change(now_ns, "mode", f"mode: {report.mode}")
@@ -58,7 +60,7 @@ class ScenarioNarrator:
         asked = report.command
         torque = "torque" if asked.torque_requested else "no torque"
         brake = "brake" if asked.brake_requested else "no brake"
-        self._change(now_ns, "pedals", f"on the bus: {torque}, {brake}", quiet=True)
+        self._change(now_ns, "pedals", f"on the bus: {torque}, {brake}{by_ebs}", quiet=True)
 
     def _change(self, now_ns: int, key: str, text: str, *, quiet: bool = False) -> None:
         before, self._before[key] = self._before.get(key), text
@@ -86,7 +88,8 @@ class ScenarioNarrator:
                 pedals += text.startswith("on the bus")
                 if pedals <= PEDALS_SHOWN or not text.startswith("on the bus"):
                     lines.append(f"{(t_ns - zero_ns) / MS:+9.0f} ms  {text}")
-        lines.append(f"demanded: {self.scenario.case.kind.must.demanded}")
+        must = self.scenario.case.kind.must.of_drawn(self.scenario.case.params)
+        lines.append(f"demanded: {must.note or 'one of these ends'}; allowed: {must.allowed}")
         if not verdict.applies:
             lines.append(
                 "(here no reaction is demanded: not in AS_DRIVING after its first 3 s, or the mission was over)"
