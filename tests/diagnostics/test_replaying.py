@@ -117,7 +117,8 @@ def test_reserved_ids_go_to_no_car_ai_ids_only_on_demand() -> None:
     frames = frames_of([LogFrame(WALL_NS + n, "can0", can_id) for n, can_id in enumerate(ids)])
     sent, left_out = choose(frames, with_ai_ids=False, physical=True)
     assert set(sent.can_id.tolist()) == set(ids) - RESERVED_IDS - set(AI_IDS)
-    assert left_out == f"{len(RESERVED_IDS)} frames of reserved ids, 5 frames of the AI computer's own ids"
+    ours = "5 frames of 0x510 to 0x514, the AI computer's own (--with-ai-ids: send them too)"
+    assert left_out == f"{len(RESERVED_IDS)} frames of reserved ids, {ours}"
     sent, left_out = choose(frames, with_ai_ids=True, physical=True)
     assert set(sent.can_id.tolist()) == set(ids) - RESERVED_IDS
     assert left_out == f"{len(RESERVED_IDS)} frames of reserved ids"

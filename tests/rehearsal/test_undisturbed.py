@@ -144,7 +144,8 @@ def test_the_monitor_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
         time.sleep(held_s)  # the very thing that is measured
         os.kill(monitor._process.pid, signal.SIGCONT)
         until = time.monotonic() + 10.0
-        while not (seen := monitor.stalls_ns(since_ns)) and time.monotonic() < until:
+        # A busy machine may have had another, shorter stall before.
+        while max(seen := monitor.stalls_ns(since_ns), default=0) < held_s * 1e9 * 0.9 and time.monotonic() < until:
             time.sleep(0.01)
     assert max(seen) >= held_s * 1e9 * 0.9
     assert monitor._process.returncode is not None, "it has been ended"
