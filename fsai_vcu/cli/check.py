@@ -82,7 +82,8 @@ def _say(args: argparse.Namespace, found: Judged | None, run: str, log: str) -> 
         write_out(shown.encode())
     verdict = found.verdict
     of_run = {"run": run} if run else {}
-    right = [] if impossible(found.buses) else [periods_kept(bus) for bus in found.buses]
+    doubted = verdict.problems or impossible(found.buses) or len(found.buses) > 1
+    right = [] if doubted else [periods_kept(bus) for bus in found.buses]
     told = [json.dumps(each | of_run) for each in verdict.as_dicts()]
     if not args.json:
         told = [*filter(None, right), *verdict.lines(), f"{'of this run' if run else 'verdict'}: {verdict.line()}"]

@@ -46,7 +46,11 @@ def run(args: argparse.Namespace) -> int:
             print(problem, file=sys.stderr)
         return 1
     if args.json:
-        print(json.dumps({"file": str(path), "right": True, "problems": [], **_as_dict(configuration)}))
+        print(
+            json.dumps(
+                {"file": str(path) if path.exists() else None, "right": True, "problems": [], **_as_dict(configuration)}
+            )
+        )
     elif args.what == "environment":
         print("\n".join(f"{name}={value}" for name, value in configuration.environment().items()))
     elif args.what == "show":

@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     lines = _Lines(args, decoding)
     on_screen = args.count is None and sys.stdout.isatty() and not sources.live
     left = _ON_SCREEN if on_screen else args.count
-    if sources.live and sys.stderr.isatty():
+    if sources.live and args.count is None and args.idle_ms is None and sys.stderr.isatty():
         print(f"fsai-vcu {args.verb}: listening to {sources.name} until Ctrl-C", file=sys.stderr)
     received_at, silent = time.monotonic(), True
     try:
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
         if not sources.live:
             raise
         if silent:
-            print(f"fsai-vcu {args.verb}: nothing was received on {sources.name}", file=sys.stderr)
+            print(f"fsai-vcu {args.verb}: no frame to show was received on {sources.name}", file=sys.stderr)
     return sources.status
 
 

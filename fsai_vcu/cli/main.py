@@ -186,7 +186,7 @@ def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
     """Find the verb in the arguments, parse the rest with its parser and run it; return the exit status."""
     if not arguments or arguments[0] in ("-h", "--help") or arguments in (["help"], ["help", "--all"]):
         _print_help("--all" in arguments)
-        return 0
+        return 0 if arguments else 2
     if arguments[0] == "help":
         arguments = [*arguments[1:2], "--help"]
     if arguments[0] == "--version":

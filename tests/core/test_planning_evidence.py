@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -211,7 +212,7 @@ LEFT_OR_RIGHT = np.repeat([1.0, -1.0], 4)
 ASTRAY = replace(SURE, path_m=np.column_stack((np.arange(0.0, 14.0, 0.5), 0.5 * np.arange(0.0, 14.0, 0.5))))
 ASTRAY_LATER = replace(SURE, path_m=ASTRAY.path_m + np.array((3.0, 0.0)))
 THIRD_ON_ITS_RIGHT = np.array((1, 1, -1, -1, -1, -1, -1, -1))
-CROSSES = (0.3, "the way crosses the left border")
+CROSSES = (0.2, "the way crosses the left border")
 
 
 @pytest.mark.parametrize(
@@ -236,6 +237,24 @@ def test_a_way_between_the_cones_of_one_border_is_doubted(
     course: Course, side: Floats, colourless: bool, said: tuple[float, str]
 ) -> None:
     assert within_borders(course, BORDERS, side, np.full(len(BORDERS), colourless)) == said
+
+
+def test_a_way_that_goes_on_to_cross_a_border_is_lost() -> None:
+    share, note = CROSSES
+    evidence, crossing = Evidence(), replace(SURE, confidence=share, note=note)
+    notes = [evidence.judged(crossing, motion).note for motion, _ in zip(looks(), range(40), strict=False)]
+    assert notes[0] == note and notes[-1] == f"lost: {note}"
+
+
+def test_of_ever_so_many_cones_the_nearest_are_looked_at() -> None:
+    many = np.vstack((BORDERS, np.random.default_rng(0).uniform((-20.0, 20.0), (20.0, 60.0), (2000, 2))))
+    side = np.concatenate((LEFT_OR_RIGHT, np.ones(2000)))
+    tracemalloc.start()
+    try:
+        assert within_borders(ASTRAY, many, side, np.full(len(many), False)) == CROSSES
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_without_cones_no_border_is_crossed() -> None:

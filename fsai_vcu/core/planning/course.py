@@ -150,15 +150,16 @@ class Evidence:
             self._too_tight = radius_m, motion.distance_m
         steady = min(1.0, max(0.0, MOVED_M[1] - self._moved_m) / (MOVED_M[1] - MOVED_M[0]))
         share = (ASIDE_M[1] - aside_m) / (ASIDE_M[1] - ASIDE_M[0])
+        moving = f"each look moves the way ahead, by {self._moved_m:.1f} m" if steady < DOUBTFUL else ""
         if share >= 1.0:
-            return steady, f"each look moves the way ahead, by {self._moved_m:.1f} m" if steady < DOUBTFUL else ""
+            return steady, moving
         note = f"the car is {aside_m:.1f} m beside its path"
         if self._too_tight is not None and motion.distance_m - self._too_tight[1] < BENT_M:
             self._stuck = aside_m >= STUCK_M
             note += (
                 f" in a bend of {self._too_tight[0]:.1f} m, tighter than the {self._least_radius_m:.1f} m it can turn"
             )
-        return steady * max(0.0, share), note
+        return steady * max(0.0, share), "; ".join(filter(None, (note, moving)))
 
     def _clear(self, course: Course, motion: Motion) -> bool:
         """True once a lost car stands and each look of two seconds has shown the way."""

@@ -29,7 +29,8 @@ KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
 KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence without and with colours; to full confidence
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
-CROSSED_SHARE = 0.3  # of confidence, left where the path crosses a border: between neighbours of one …
+CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between neighbours of one …
+NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 BORDER_APART_M, IN_LINE_COS = 5.0, 0.95  # … at most so far apart; in line with two others, it turns no more than this
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
@@ -73,7 +74,7 @@ class LapStrategy:
         here, path, doubt = motion, NO_PATH, ""
         if racing is not None:
             here = racing.see(seen_xy_m, motion)
-            fresh = memory.lately(cones, motion) & memory.sure(cones.index)
+            fresh = memory.lately(cones, motion) & sure
             path, doubt = racing.path(cones.xy_m[fresh], here), racing.note
         if racing is not None and len(path):
             reach_m = self._settings.path_step_m * len(path)
@@ -195,6 +196,10 @@ def within_borders(course: Course, sure_xy_m: Floats, side: Floats, colourless: 
     path = course.path_m[lengths_along(course.path_m) <= course.supported_m] if len(course.path_m) else course.path_m
     if len(path) < 2 or len(sure_xy_m) < 2:
         return 1.0, ""
+    away_m = gaps(sure_xy_m, path).min(axis=1)
+    chosen = away_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
+    chosen = chosen[away_m[chosen] < 2.0 * BORDER_APART_M]
+    sure_xy_m, side, colourless = sure_xy_m[chosen], side[chosen], colourless[chosen]
     to = sure_xy_m[None] - sure_xy_m[:, None]  # (N, N, 2) from each to each other
     apart = np.hypot(to[..., 0], to[..., 1])
     near = (apart < BORDER_APART_M) & (apart > 0.0)

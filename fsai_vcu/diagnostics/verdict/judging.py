@@ -274,15 +274,14 @@ def _not_judged(whole: Record, buses: Sequence[BusStatistics]) -> Iterator[str]:
 
 def _unknown(record: Record, left_out: frozenset[int]) -> Iterator[str]:
     """Say why this log cannot be called well even if nothing in it is wrong."""
-    if STATUS in left_out:
-        pass  # nobody asks for the car's state
-    elif STATUS in record.unknown_ids:
+    of_car = STATUS not in left_out  # else nobody asks for the car's state
+    if of_car and STATUS in record.unknown_ids:
         yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
-    elif STATUS in record.wrong_length and not record.has(STATUS):
+    elif of_car and STATUS in record.wrong_length and not record.has(STATUS):
         yield "every 0x520 has the wrong length, so the car's state is not known"
-    elif not record.has(STATUS):
+    elif of_car and not record.has(STATUS):
         yield "no 0x520 was received, so the car's state is not known: is this the car's bus, and was the car on?"
-    elif not len(record.series(AS_STATE)):
+    elif of_car and not len(record.series(AS_STATE)):
         yield "the database has no AS_STATE in 0x520, so the car's state is not known: it is not the car's"
     elif record.end_ns - record.begin_ns < SHORT_NS:
         yield "less than a second was recorded"
