@@ -159,7 +159,8 @@ def give_up() -> str:
         f"\nlooks stays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
         "\nthe planner is *lost*: it plans a stop at once, along the last path that was not in doubt."
         "\n`/planner_status`, `fsai-vcu status` and the pit wall show that it is lost, and why. Once the car stands and"
-        f"\neach look of {AGAIN_NS / 1e9:g} s has shown the lane with a confidence of {FLOOR_AGAIN:g} at least, it drives on."
+        f"\neach look of {AGAIN_NS / 1e9:g} s has shown the lane with a confidence of {FLOOR_AGAIN:g} at least,"
+        "\nit drives on."
     )
 
 

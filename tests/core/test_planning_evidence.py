@@ -210,33 +210,24 @@ def test_a_cone_on_the_path_borne_out_leaves_little_confidence(
 BORDERS = np.array([(x, y) for y in (1.5, -1.5) for x in (0.0, 4.0, 8.0, 12.0)])
 LEFT_OR_RIGHT = np.repeat([1.0, -1.0], 4)
 ASTRAY = replace(SURE, path_m=np.column_stack((np.arange(0.0, 14.0, 0.5), 0.5 * np.arange(0.0, 14.0, 0.5))))
-ASTRAY_LATER = replace(SURE, path_m=ASTRAY.path_m + np.array((3.0, 0.0)))
-THIRD_ON_ITS_RIGHT = np.array((1, 1, -1, -1, -1, -1, -1, -1))
 CROSSES = (0.2, "the way crosses the left border")
 
 
 @pytest.mark.parametrize(
-    ("course", "side", "colourless", "said"),
+    ("course", "side", "said"),
     [
-        (SURE, LEFT_OR_RIGHT, True, (1.0, "")),
-        (ASTRAY, LEFT_OR_RIGHT, False, CROSSES),
-        (replace(ASTRAY, supported_m=3.0), LEFT_OR_RIGHT, False, (1.0, "")),  # so far as it is borne out
-        (
-            ASTRAY,
-            np.where(BORDERS[:, 0] == 4.0, -LEFT_OR_RIGHT, LEFT_OR_RIGHT),
-            False,
-            (1.0, ""),
-        ),  # of the other colour
-        # The wrong lane has the third cone on its right already; it is in line with the first two, and has no colour …
-        (ASTRAY_LATER, THIRD_ON_ITS_RIGHT, True, CROSSES),
-        (ASTRAY_LATER, THIRD_ON_ITS_RIGHT, False, (1.0, "")),  # … or one, which is believed
-        (replace(SURE, path_m=STRAIGHT[:0]), LEFT_OR_RIGHT, True, (1.0, "")),
+        (SURE, LEFT_OR_RIGHT, (1.0, "")),
+        (ASTRAY, LEFT_OR_RIGHT, CROSSES),
+        (replace(ASTRAY, supported_m=3.0), LEFT_OR_RIGHT, (1.0, "")),  # so far as it is borne out
+        (ASTRAY, np.where(BORDERS[:, 0] == 4.0, -LEFT_OR_RIGHT, LEFT_OR_RIGHT), (1.0, "")),  # of the other colour
+        (ASTRAY, 0.5 * LEFT_OR_RIGHT, (1.0, "")),  # of cones only in line with a border
+        (replace(SURE, path_m=STRAIGHT[:0]), LEFT_OR_RIGHT, (1.0, "")),
     ],
 )
 def test_a_way_between_the_cones_of_one_border_is_doubted(
-    course: Course, side: Floats, colourless: bool, said: tuple[float, str]
+    course: Course, side: Floats, said: tuple[float, str]
 ) -> None:
-    assert within_borders(course, BORDERS, side, np.full(len(BORDERS), colourless)) == said
+    assert within_borders(course, BORDERS, side) == said
 
 
 def test_a_way_that_goes_on_to_cross_a_border_is_lost() -> None:
@@ -251,11 +242,11 @@ def test_of_ever_so_many_cones_the_nearest_are_looked_at() -> None:
     side = np.concatenate((LEFT_OR_RIGHT, np.ones(2000)))
     tracemalloc.start()
     try:
-        assert within_borders(ASTRAY, many, side, np.full(len(many), False)) == CROSSES
+        assert within_borders(ASTRAY, many, side) == CROSSES
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:
         tracemalloc.stop()
 
 
 def test_without_cones_no_border_is_crossed() -> None:
-    assert within_borders(ASTRAY, BORDERS[:0], LEFT_OR_RIGHT[:0], np.zeros(0, bool)) == (1.0, "")
+    assert within_borders(ASTRAY, BORDERS[:0], LEFT_OR_RIGHT[:0]) == (1.0, "")

@@ -12,7 +12,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.planning.cone_memory import BIG, SURE_SIDE, Bools, ConeMemory, Cones
+from fsai_vcu.core.planning.cone_memory import BIG, EXPECTED, ConeMemory, Cones
 from fsai_vcu.core.planning.course import DOUBTFUL, Course, braking_m
 from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
@@ -29,9 +29,9 @@ KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
 KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence without and with colours; to full confidence
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
-CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between neighbours of one …
+CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
+BORDER_APART_M = 5.0  # … at most so far apart
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
-BORDER_APART_M, IN_LINE_COS = 5.0, 0.95  # … at most so far apart; in line with two others, it turns no more than this
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -84,7 +84,7 @@ class LapStrategy:
             course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
             free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
-            within, crossing = within_borders(course, sure_xy_m, cones.side[sure], cones.color[sure] == 0)
+            within, crossing = within_borders(course, sure_xy_m, cones.side[sure])
             notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, crossing, course.note)
             confidence = clear * free * within * course.confidence
             course = replace(course, confidence=confidence, note="; ".join(filter(None, notes)))
@@ -187,31 +187,20 @@ def free_of_cones(course: Course, sure_xy_m: Floats) -> tuple[float, str]:
     return IN_LANE_SHARE**inside, f"{inside} cone{'s' * (inside != 1)} in the lane" if inside else ""
 
 
-def within_borders(course: Course, sure_xy_m: Floats, side: Floats, colourless: Bools) -> tuple[float, str]:
+def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[float, str]:
     """The share of confidence that is left by a path between two neighbouring cones of one border, and the note on it.
 
-    side: (N,) of the cones (N, 2, vehicle frame), as in `Cones`. A cone without colour in line with the last two of a
-    border is of that border, wherever lanes found before had it: a wrong lane bears itself out so.
+    side: (N,) of the cones (N, 2, vehicle frame), as in `Cones`.
     """
     path = course.path_m[lengths_along(course.path_m) <= course.supported_m] if len(course.path_m) else course.path_m
-    if len(path) < 2 or len(sure_xy_m) < 2:
+    if len(path) < 2 or not len(sure_xy_m):
         return 1.0, ""
     away_m = gaps(sure_xy_m, path).min(axis=1)
-    chosen = away_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
-    chosen = chosen[away_m[chosen] < 2.0 * BORDER_APART_M]
-    sure_xy_m, side, colourless = sure_xy_m[chosen], side[chosen], colourless[chosen]
-    to = sure_xy_m[None] - sure_xy_m[:, None]  # (N, N, 2) from each to each other
-    apart = np.hypot(to[..., 0], to[..., 1])
-    near = (apart < BORDER_APART_M) & (apart > 0.0)
-    along = np.einsum("ijx,jkx->ijk", to, to)
-    straight = along > IN_LINE_COS * apart[:, :, None] * apart
+    nearest = away_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
     for sign, name in ((1.0, "left"), (-1.0, "right")):
-        mine = side * sign > SURE_SIDE
-        same = near & mine[:, None] & mine
-        last = same & ~((along > 0.0) & same).any(axis=2)  # (N, N) from one of a border to its last
-        in_line = near & colourless & (straight & last[:, :, None]).any(axis=0)
-        one, other = np.nonzero(same | in_line)
-        if crossed(path, sure_xy_m[one], sure_xy_m[other]):
+        border = sure_xy_m[nearest][sign * side[nearest] > EXPECTED]
+        one, other = np.nonzero(np.triu(gaps(border, border) < BORDER_APART_M, 1))
+        if crossed(path, border[one], border[other]):
             return CROSSED_SHARE, f"the way crosses the {name} border"
     return 1.0, ""
 
