@@ -23,9 +23,9 @@ from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
-Prints each log's problems, as check tells them, states and numbers whose share,
-range or mean differs by more than 10 % of their range (the first log's values,
-and the second's), messages that are in one log only, and mean periods more than
+Prints each log's problems, as check tells them, states and numbers whose least,
+greatest or mean value differs by more than 10 % of their range (the first log's
+values, and the second's), messages that are in one log only, and mean periods more than
 10 % apart.
 Exit status: 0 nothing differs, 1 something does, or something could not be read,
 2 wrong use. --from and --to count from each log's own first frame; with

@@ -90,7 +90,7 @@ def test_a_way_found_in_every_other_look_alone_is_lost() -> None:
 
 
 def swaying(evidence: Evidence, by_m: float, least: int = 60) -> list[Course]:
-    """What is said of a way on that each look moves so far, to one side and back."""
+    """The courses judged, of a path that each look moves so far, to one side and back."""
     ways = [replace(SURE, path_m=STRAIGHT + np.array((0.0, side * by_m / 2.0))) for side in (1.0, -1.0)]
     return [evidence.judged(ways[count % 2], motion) for motion, count in zip(looks(), range(least), strict=False)]
 

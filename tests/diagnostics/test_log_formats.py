@@ -113,7 +113,7 @@ def packets() -> list[bytes]:
 
 
 HEADS = {227: b"", 113: struct.pack(">HHHQH", 0, 280, 0, 0, 12), 276: struct.pack(">HHLHBBQ", 12, 0, 3, 280, 0, 0, 0)}
-"""What stands before each packet of a capture: nothing, or on `any` the head of a cooked one."""
+"""Bytes before each packet of a capture: none, or on `any` the head of a cooked one."""
 
 
 def pcap(link: int = 227, order: str = "<") -> bytes:

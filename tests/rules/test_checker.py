@@ -259,7 +259,7 @@ class Fed(Sender):
 
 
 class Then:
-    """What a sender is to do later, `then.cycle(IDLE)`, or what one just made is to do, `new.cycle(IDLE)`."""
+    """Steps of a sender: of one that runs, `then.cycle(IDLE)`, or of a new one, `new.cycle(IDLE)`."""
 
     def __init__(self, *steps: Callable[[Any], Any]) -> None:
         self.steps = steps

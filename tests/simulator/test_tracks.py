@@ -52,7 +52,7 @@ def steps(line: np.ndarray) -> np.ndarray:
 
 
 def turns(line: np.ndarray) -> np.ndarray:
-    """How far the line turns from the metre before each point to the metre after it, rad."""
+    """Angle by which the line turns from the metre before each point to the metre after it, rad."""
     ring = line @ (1.0, 1j)
     return np.abs(np.angle((np.roll(ring, -4) - ring) / (ring - np.roll(ring, 4))))
 
