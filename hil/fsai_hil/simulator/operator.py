@@ -195,7 +195,7 @@ def _let_it_end(power_up: PowerUp, last: bool, switches: Switches, emergency: bo
     return (
         Await("waiting until the siren falls silent", lambda car: not car.siren)
         if emergency
-        else Await("letting the car stand", delay_ns=FINISHED_NS),
+        else Await("waiting 3 s at standstill", delay_ns=FINISHED_NS),
         ("go", False),
         *off,
     )

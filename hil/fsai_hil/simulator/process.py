@@ -48,7 +48,8 @@ TRUTH_PERIOD_NS: Final = 20_000_000  # faster than any sensor looks
 HELD_UP_NS: Final = 50_000_000  # half of what the VCU grants the AI computer
 REOPEN_NS: Final = 250_000_000
 COMMANDS_PERIOD_NS: Final = 50_000_000
-PROGRESS_NS: Final = 1_000_000_000
+PROGRESS_NS: Final = 1_000_000_000  # between two looks for news
+PROGRESS_AT_MOST_NS: Final = 5_000_000_000  # without news, between two lines
 GO_OFF_NS: Final = 200_000_000
 STATUS_ID: Final = BY_NAME["VCU2AI_Status"].can_id
 LINGER_NS: Final = 2_000_000_000  # the car goes on speaking after the end, so that the AI side sees it
@@ -163,6 +164,7 @@ class VcuProcess:
         self.held_up_in_ns: Counter[int] = Counter()  # of that, in the first mission, the second and so on
         self.status_late_ns: list[int] = []  # of each 0x520: from when it was due until it had been sent
         self._marks: list[tuple[str, Counts]] = []  # where measurements begin
+        self._told, self._told_ns = [""], 0
         self._wake_ns = world.now_ns
 
     def stop(self, why: str) -> None:
@@ -201,8 +203,7 @@ class VcuProcess:
                 self._obey()
             if now >= next_progress:
                 next_progress += PROGRESS_NS
-                if not self._args.quiet:
-                    print(f"[{(now - start) / 1e9:6.1f} s] {self.describe()}", file=sys.stderr, flush=True)
+                self._tell(now, start)
             if self._args.auto and world.done:
                 end_ns = end_ns or now + LINGER_NS
                 if now >= end_ns:
@@ -289,6 +290,18 @@ class VcuProcess:
 
     def describe(self) -> str:
         """The car in one line."""
+        return " | ".join(self._words())
+
+    def _tell(self, now: int, start: int) -> None:
+        """Print the car in one line if more than its speed has changed, or after some seconds."""
+        state, speed, *others = self._words()
+        if self._args.quiet or ([state, *others] == self._told and now < self._told_ns + PROGRESS_AT_MOST_NS):
+            return
+        self._told, self._told_ns = [state, *others], now
+        print(f"[{(now - start) / 1e9:6.1f} s] {' | '.join([state, speed, *others])}", file=sys.stderr, flush=True)
+
+    def _words(self) -> list[str]:
+        """State, speed, and what else is to be said of the car."""
         world = self.world
         vcu = world.vcu
         words = [
@@ -309,7 +322,7 @@ class VcuProcess:
             words.append(world.operator.doing)
         if self.dropped:
             words.append(f"{self.dropped} frames dropped")
-        return " | ".join(words)
+        return words
 
     def _obey(self) -> None:
         """Commands typed since the last look."""

@@ -195,7 +195,7 @@ def _to_the_end(stage: Stage) -> Script:
         "waiting for the end of the mission",
         lambda car: car.assi in ENDED,
         DRIVES_S,
-        lambda: (Await("letting the car stand", delay_ns=FINISHED_NS),),
+        lambda: (Await("waiting 3 s at standstill", delay_ns=FINISHED_NS),),
         lambda: stage.stuck(f"still AS_DRIVING after {DRIVES_S:g} s"),
     )
 
