@@ -26,10 +26,9 @@ from fsai_nodes.composed import CLASSES
 from fsai_nodes.qos import FRAMES, TOPICS
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.planning.course import AGAIN_NS, DOUBTED_M, DOUBTED_S, FLOOR, FLOOR_AGAIN, MOVED_M
-from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.config import TO_DO_UNSEEN, BridgeConfig, Reason
 from fsai_vcu.core.supervision.gate import LIMITERS
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
-from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import (
     NEXT,
@@ -280,30 +279,8 @@ def driving() -> str:
     return _causes("torque_not_given", None)
 
 
-# What no log of the bus shows, but `fsai-vcu status` and the log of vcu_bridge do
-_TO_DO: Final = {
-    Reason.BOTH_PEDALS: "have the controller send throttle or brake, the other one 0",
-    Reason.BACKLOG: "look what kept the processor busy (`fsai-vcu doctor`: scheduling)",
-    Reason.OTHER_REVISION: "set `[can] revision` to the car's; else look for a second car, a replay or a gateway",
-    Reason.NOT_CONFIRMED: "start planner and controller before AS_READY; each confirms every new `run_id`",
-    Reason.STACK_RESTARTED: "look in its log why it ended; the next run begins in AS_OFF",
-    Reason.COMMAND_REFUSED: "`fsai-vcu check-stack` names the field, or the clock that is ahead",
-    Reason.COMMAND_OTHER_RUN: "put the `run_id` of the newest `/run_state` into each command",
-    Reason.STEER_CLAMPED: "plan with `steering_max_rad` of `/vehicle_state`, and the official's limit",
-    Reason.TORQUE_LIMIT_UNKNOWN: "check why 0x521 or 0x522 stopped (`fsai-vcu check --figures`)",
-    Reason.TORQUE_BLOCKED: "gate and supervisor disagree: keep the log of bus and bridge, and report it",
-    Reason.STILLNESS_UNPROVEN: "gate and supervisor disagree: keep the log of bus and bridge, and report it",
-}
-
-
 def guards() -> str:
-    hidden = [one for one in Reason if one.slug not in CAUSES]
-    for one in hidden:
-        assert one in _TO_DO, (
-            f"nothing says what to do about {one.slug}: if a log of the bus shows it, a row in REMEDIES of "
-            "fsai_vcu/diagnostics/remedies.py; if none does, a row in _TO_DO of docs/pages.py"
-        )
-    rows = ((f"`{one.slug}`", one.words, _TO_DO[one]) for one in hidden)
+    rows = ((f"`{one.slug}`", one.words, to_do) for one, to_do in TO_DO_UNSEEN.items())
     return _table(("reason", "what it says", "what to do"), rows)
 
 

@@ -40,7 +40,7 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface", "fsai_vcu.runtime", FILES, PRINTABLE},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.finding": {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.remedies": set(),
+    f"{DIAGNOSTICS}.remedies": {"fsai_vcu.core"},
     f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "remedies", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.verdict": {

@@ -26,7 +26,7 @@ from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.report import UNKNOWN_LENGTH, WHYS_KEPT, BridgeReport
 from fsai_vcu.core.supervision import supervisor, wheel_speeds
 from fsai_vcu.core.supervision.changes import changes
-from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason, official_simulator
 from fsai_vcu.core.supervision.gate import gate, gate_config, sent
 from fsai_vcu.core.supervision.plausibility import (
     NEW_STEERING,
@@ -37,7 +37,6 @@ from fsai_vcu.core.supervision.plausibility import (
     forget_wheels,
 )
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
-from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Inputs, SupervisorState
 from fsai_vcu.core.tally import Tally
 from fsai_vcu.core.vehicle.odometry import OdometryState, advance, begin_run, standing_start

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision.reasons import Reason, words_of
+from fsai_vcu.core.supervision.config import Reason, words_of
 from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
 from fsai_vcu.interface.values import Count, Detail, Sentence, Value, Whole, Word
 

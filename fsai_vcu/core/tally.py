@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from fsai_vcu.core.report import IDS_KEPT, PROBLEMS_KEPT
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import Decision
 from fsai_vcu.interface.specification import READY_WAIT_NS
 from fsai_vcu.interface.units import S

@@ -9,12 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from fsai_vcu.core.supervision.config import TO_DO, Reason
+
 _CAR_RESTART: Final = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
-_MOVE_STEERING: Final = (
-    "move the steering by hand, and by static inspection A (a mission on the AMI): column, motor, angle sensor"
-)
-_TURN_WHEELS: Final = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
-_SEE_FAULT: Final = "put the fault right that 0x520 names, then switch the car off and on"
 _SENDER: Final = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
 _BUSY: Final = "nothing is wrong with car or software: drive again with less running on this computer"
 _BETWEEN: Final = "send a whole cycle with both at zero between torque and brake, either way"
@@ -44,7 +41,6 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "asms_off": f"nothing is broken: leave ASMS on until the car has finished; {_CAR_RESTART}",
     "tsms_off": f"nothing is broken: leave TSMS on until ASMS is off; {_CAR_RESTART}",
-    "go_off": "leave Go on for the whole run; if nobody touched it, check the remote's battery, range and receiver",
     "remote_estop": f"release it when the reason is gone; {_CAR_RESTART}",
     "radio_lost": "check the remote's battery, antenna and distance; test the range before the next run",
     "ts_fault": "look at the battery, the HVIL and the inverters, then switch the car off and on",
@@ -62,32 +58,7 @@ REMEDIES: Final[Mapping[str, str]] = {
         f"nothing: static inspection B and the autonomous demo end like this; for the next mission {_CAR_RESTART}"
     ),
     "not_on_the_bus": "look in the software's own log for the emergency's cause",
-    "vcu_silent": "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
-    "wheels_stale": ("check why 0x525 stopped: VCU, wiring, bus load; else compare it with 0x526"),
-    "steering_stale": "check why 0x523 stopped: steering controller, VCU, wiring",
-    "steering_implausible": _MOVE_STEERING,
-    "wheel_implausible": _TURN_WHEELS,
-    "intruder": (
-        "only one program may send 0x510 to 0x514: stop the other one (a second stack, canplayer, a script, a "
-        "logger that replays)"
-    ),
-    "loop_fault": "look what kept the processor busy; real-time priority and CPU load of the AI computer",
-    "bus_lost": "check CAN plugs, termination and bit rate; ip -details link show can0",
-    "stop_ineffective": "check the service brake: pressure in 0x524 against the request, air, pads",
-    "command_stale": "look why planner or controller fell silent: their logs, cones seen, CPU load",
-    "fault_status": _SEE_FAULT,
-    "as_switch_off": "ask who switched ASMS off; else check the switch and its wiring",
-    "ts_switch_off": "ask who switched TSMS off; else check the switch and its wiring",
-    "shutdown_requested": "ask who switched the car off; else check TSMS and LVMS",
-    "fault_bit": _SEE_FAULT,
-    "shutdown_cause": _SEE_FAULT,
-    "state_fault": "look at what it names: EBS (air pressure, 0x301), tractive system (battery, HVIL), the VCU",
-    "ami_changed": "leave the display alone once the car is in AS_READY; else look for a second sender of 0x520",
-    "sequence_short": "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
-    "not_seen": "start the software before the car leaves AS_OFF, then start again from AS_OFF",
-    "no_mission": "choose the mission on the display",
-    "as_state_unknown": "compare the VCU's interface revision with the database; look for a second sender of 0x520",
-    "vcu_reboot": "check its supply: low-voltage battery, LVMS, connectors",
+    **{reason.slug: to_do for reason, to_do in TO_DO.items()},
     "vcu_hung": "check the VCU's supply and connectors; if it happens again have its software looked at",
     "status_frozen": (
         "have the VCU's software looked at; look for a gateway or a replay that repeats old frames; where it "
@@ -133,7 +104,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "power_cycle": (
         "ASMS, TSMS and LVMS off, and on again: 2026 cars need it after every mission, all after an emergency brake"
     ),
-    "fault": _SEE_FAULT,
+    "fault": TO_DO[Reason.FAULT_STATUS],
     "op_fault": "look at the other faults that 0x520 names; TSMS and LVMS off and on again",
     "shutting_down": "TSMS was turned off: let it shut down, then LVMS off and on",
     "steering_inactive": "check that ASMS is on and the tractive system runs; then the steering controller's fault",
@@ -184,8 +155,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "brake_not_following": "do not drive: check air, brake fluid and the pressure sensor by static inspection A",
     "brake_unasked": "check that the EBS is not triggered, and the pressure sensors and valves",
-    "steering_not_following": _MOVE_STEERING,
-    "wheel_unlike": _TURN_WHEELS,
+    "steering_not_following": TO_DO[Reason.STEERING_IMPLAUSIBLE],
+    "wheel_unlike": TO_DO[Reason.WHEEL_IMPLAUSIBLE],
     "wheels_swapped": "turn each wheel by hand and compare 0x525: plugs of left and right; or the sign of 0x523",
     "stood_still": _BUSY,
     "frames_lost_here": "record again with less running on this computer; the log cannot tell more",

@@ -12,9 +12,8 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason, official_simulator
 from fsai_vcu.core.supervision.gate import GateState, constant_power_nm, gate, gate_config, motor_rpm, sent
-from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import OUTPUT, Brake, Decision, Phase, Steer
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
 from fsai_vcu.interface.codec import Codec

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from fsai_vcu.core.supervision.changes import changes
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.interface.enums import Ami, EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults, VcuStatus
 

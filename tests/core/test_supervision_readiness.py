@@ -11,9 +11,8 @@ from supervision_rig import Rig, driven
 
 from fsai_hil.evidence.small_car import WELL
 from fsai_vcu.core.bridge import BridgeConfig
-from fsai_vcu.core.supervision.config import official_simulator
+from fsai_vcu.core.supervision.config import official_simulator, words_of
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
-from fsai_vcu.core.supervision.reasons import words_of
 from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS, Moment, seen_met, unmet
 from fsai_vcu.core.supervision.start_conditions import why_not_driving as shown_by_the_bus
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState

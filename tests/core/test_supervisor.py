@@ -10,8 +10,7 @@ from msgspec.structs import fields, replace
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import gate, plausibility, readiness, start_conditions, supervisor, wheel_speeds
-from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
-from fsai_vcu.core.supervision.reasons import Reason, words_of
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason, official_simulator, words_of
 from fsai_vcu.core.supervision.supervisor import (
     OUTPUT,
     REACTIONS,

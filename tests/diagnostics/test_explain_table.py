@@ -7,7 +7,7 @@ import re
 import pytest
 
 from fsai_hil.simulator.as_machine import ROWS, Row
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.start_conditions import CONDITIONS
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN
@@ -134,7 +134,7 @@ def test_every_braking_reason_of_the_supervisor_has_its_words() -> None:
     told = {Reason.GO_OFF, Reason.NO_MISSION}  # of Go the car says more, of a missing mission the way to AS_READY
     for reason in graver - inside - told:
         assert reason.slug in CAUSES, (
-            f"{reason} has no row in REMEDIES of fsai_vcu/diagnostics/remedies.py, and is not named here among those "
+            f"{reason} has no row in TO_DO of fsai_vcu/core/supervision/config.py, and is not named here among those "
             "that leave no trace on the bus"
         )
         assert CAUSES[reason.slug].words == reason.words

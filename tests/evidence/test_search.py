@@ -22,7 +22,7 @@ from fsai_hil.rules.numbers import CYCLE_NS
 from fsai_hil.rules.seen import Violation
 from fsai_vcu.core.ages import Ages, NotSearched, Within
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Asked, Consequence, Latch, Step, SupervisorState
 from fsai_vcu.interface.values import Value
 

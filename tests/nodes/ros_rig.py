@@ -33,7 +33,7 @@ from fsai_nodes import qos
 from fsai_nodes.conversions import BASE_FRAME
 from fsai_nodes.executor import NodeExecutor
 from fsai_nodes.vcu_bridge import VcuBridge
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import (

@@ -11,7 +11,7 @@ from fsai_nodes.report_log import Culprit, News, ReportLine
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.driving import Run
 from fsai_vcu.core.report import BridgeReport
-from fsai_vcu.core.supervision.reasons import words_of
+from fsai_vcu.core.supervision.config import words_of
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, ShutdownCause

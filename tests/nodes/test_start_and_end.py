@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import revision

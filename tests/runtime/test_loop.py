@@ -28,8 +28,7 @@ from loop_rig import (
 )
 
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiStatus, VcuStatus

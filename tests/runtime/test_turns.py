@@ -9,8 +9,7 @@ import pytest
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState

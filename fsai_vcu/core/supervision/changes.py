@@ -5,7 +5,7 @@ Only edges count: what this VCU never sets, or what was so before AS_DRIVING, sa
 
 from __future__ import annotations
 
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.interface.enums import EbsState, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.messages import VcuStatus
 

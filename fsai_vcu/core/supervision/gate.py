@@ -32,8 +32,7 @@ from msgspec.structs import replace
 from fsai_vcu.core.ages import Ages, NoAge, NotSearched
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
-from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason
 from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of, pulses_per_s, turning
 from fsai_vcu.core.vehicle.parameters import VehicleParameters

@@ -13,7 +13,7 @@ from typing import Any, Final, cast
 
 from msgspec import field
 
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.interface.enums import (
     OFF_LIKE,
     AsState,

@@ -35,8 +35,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.ages import Ages, NoAge
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds

@@ -1,6 +1,6 @@
 """Causes of brakes and of starts that fail: from each to its words, and to what to record where the bus tells no more.
 
-Causes that the AI side knows as well have its words: what the supervisor found (core/supervision/reasons.py), and what
+Causes that the AI side knows as well have its words: what the supervisor found (core/supervision/config.py), and what
 a start waits for (start_conditions.py). A cause is found by the rules of `endings.py` and `starting.py`; what to do
 about it is in `remedies.py`.
 """
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.start_conditions import WORDS
 from fsai_vcu.diagnostics.remedies import OURS, REMEDIES, Setting, remedy_of
 from fsai_vcu.interface.enums import ShutdownCause

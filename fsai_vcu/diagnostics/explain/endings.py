@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
 from fsai_vcu.diagnostics.explain.evidence import (

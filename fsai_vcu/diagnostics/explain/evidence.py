@@ -13,9 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
-from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.explain import signals as sig

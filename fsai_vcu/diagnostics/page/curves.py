@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series, Values
 from fsai_vcu.diagnostics.explain.signals import Signal, label

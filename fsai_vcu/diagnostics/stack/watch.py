@@ -17,8 +17,7 @@ from typing import Any
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import WITHOUT_PATH
-from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.reasons import Reason, words_of
+from fsai_vcu.core.supervision.config import BridgeConfig, Reason, words_of
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.printable import LINE, printable

@@ -22,7 +22,7 @@ from fsai_hil.evidence.campaign.endings import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
 from fsai_hil.evidence.edited_logs import EDITS, Edit, Told, told_at
 from fsai_hil.evidence.work import digest, followed, spread
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of

@@ -25,7 +25,7 @@ from fsai_hil.evidence.fuzz_drive import WELL, Step, kept
 from fsai_hil.evidence.seeded import SEEDS, Seed, patched
 from fsai_hil.evidence.work import followed, spread
 from fsai_hil.rules.numbers import MS
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
 from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.bus_table import BUS_TABLE

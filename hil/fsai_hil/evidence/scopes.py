@@ -21,7 +21,7 @@ from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import official_simulator
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import CHANGES
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState

@@ -14,8 +14,8 @@ from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.watched_bridge import WatchedBridge, process_of
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
 from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
-from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Decision
 from fsai_vcu.core.tally import Tally
 from fsai_vcu.core.vehicle.odometry import OdometryState

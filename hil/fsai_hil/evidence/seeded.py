@@ -27,7 +27,7 @@ from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import gate as gating
 from fsai_vcu.core.supervision import supervisor, wheel_speeds
-from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import (
     OUTPUT,
     REACTIONS,

@@ -10,7 +10,7 @@ from typing import Literal
 from msgspec.structs import replace
 
 from fsai_vcu.core.report import BridgeReport
-from fsai_vcu.core.supervision.reasons import Reason, words_of
+from fsai_vcu.core.supervision.config import Reason, words_of
 from fsai_vcu.diagnostics.explain.causes import CAUSES, SHUTDOWN
 from fsai_vcu.interface.enums import AsState
 

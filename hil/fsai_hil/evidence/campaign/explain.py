@@ -10,7 +10,7 @@ from fsai_hil.evidence.campaign.endings import End
 from fsai_hil.evidence.campaign.scenario import Scenario
 from fsai_hil.evidence.campaign.verdict import CaseVerdict
 from fsai_vcu.core.report import BridgeReport
-from fsai_vcu.core.supervision.reasons import words_of
+from fsai_vcu.core.supervision.config import words_of
 from fsai_vcu.interface.units import MS
 
 FIRST: Final[Mapping[End, str]] = {
