@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tracemalloc
 from collections.abc import Callable, Iterator
 
@@ -10,11 +11,15 @@ import pytest
 from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of, most_aside_m
-from fsai_vcu.core.planning.lap_strategy import free_of_cones, within_borders
+from fsai_vcu.core.planning.lap_strategy import free_of_cones, unmistaken, within_borders
+from fsai_vcu.core.planning.planner import Planner
+from fsai_vcu.core.planning.pose import to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.enums import Ami, AsState
 
 LOOK_NS, SPEED_MPS = 50_000_000, 4.0
 STRAIGHT = np.column_stack((np.arange(0.0, 20.0, 0.5), np.zeros(40)))
@@ -209,7 +214,8 @@ def test_a_cone_on_the_path_borne_out_leaves_little_confidence(
 
 BORDERS = np.array([(x, y) for y in (1.5, -1.5) for x in (0.0, 4.0, 8.0, 12.0)])
 LEFT_OR_RIGHT = np.repeat([1.0, -1.0], 4)
-ASTRAY = replace(SURE, path_m=np.column_stack((np.arange(0.0, 14.0, 0.5), 0.5 * np.arange(0.0, 14.0, 0.5))))
+AHEAD_M = np.arange(0.0, 14.0, 0.5)
+ASTRAY = replace(SURE, path_m=np.column_stack((AHEAD_M, 0.5 * np.maximum(AHEAD_M - 3.0, 0.0))))
 CROSSES = (0.2, "the way crosses the left border")
 
 
@@ -219,8 +225,10 @@ CROSSES = (0.2, "the way crosses the left border")
         (SURE, LEFT_OR_RIGHT, (1.0, "")),
         (ASTRAY, LEFT_OR_RIGHT, CROSSES),
         (replace(ASTRAY, supported_m=3.0), LEFT_OR_RIGHT, (1.0, "")),  # so far as it is borne out
-        (ASTRAY, np.where(BORDERS[:, 0] == 4.0, -LEFT_OR_RIGHT, LEFT_OR_RIGHT), (1.0, "")),  # of the other colour
+        (ASTRAY, np.where(BORDERS[:, 0] == 8.0, -LEFT_OR_RIGHT, LEFT_OR_RIGHT), (1.0, "")),  # of the other colour
         (ASTRAY, 0.5 * LEFT_OR_RIGHT, (1.0, "")),  # of cones only in line with a border
+        (SURE, np.where(np.arange(8) == 6, -LEFT_OR_RIGHT, LEFT_OR_RIGHT), (1.0, "")),  # one cone makes no border
+        (SURE, np.where(np.arange(8) >= 6, -LEFT_OR_RIGHT, LEFT_OR_RIGHT), CROSSES),
         (replace(SURE, path_m=STRAIGHT[:0]), LEFT_OR_RIGHT, (1.0, "")),
     ],
 )
@@ -228,6 +236,37 @@ def test_a_way_between_the_cones_of_one_border_is_doubted(
     course: Course, side: Floats, said: tuple[float, str]
 ) -> None:
     assert within_borders(course, BORDERS, side) == said
+
+
+@pytest.mark.parametrize(("wrong", "left"), [((6,), (6,)), ((6, 7), ())])
+def test_a_few_colours_that_the_lane_contradicts_are_mistaken(wrong: tuple[int, ...], left: tuple[int, ...]) -> None:
+    side = LEFT_OR_RIGHT.copy()
+    side[list(wrong)] *= -1.0
+    assert np.flatnonzero(unmistaken(side, 0.3 * LEFT_OR_RIGHT) == 0.0).tolist() == list(left)
+
+
+@pytest.mark.parametrize(("spacing_m", "wrong"), [(5.0, (5, 6)), (5.0, (6, 7)), (4.0, (8, 9)), (3.0, (12, 13))])
+def test_a_cone_or_two_of_the_wrong_colour_stop_no_car(spacing_m: float, wrong: tuple[int, ...]) -> None:
+    """Round a circle of 10 m to the left; the outer border has cones of the inner one's colour."""
+
+    def ring(radius_m: float) -> Floats:
+        angles = np.linspace(0.0, 2.0 * math.pi, round(2.0 * math.pi * radius_m / spacing_m), endpoint=False)
+        return np.column_stack((radius_m * np.sin(angles), 10.0 - radius_m * np.cos(angles)))
+
+    inner, outer = ring(8.4), ring(11.6)
+    xy = np.vstack((inner, outer))
+    color = np.repeat((int(ConeColor.BLUE), int(ConeColor.YELLOW)), (len(inner), len(outer)))
+    color[len(inner) + np.array(wrong)] = int(ConeColor.BLUE)
+    planner = Planner(CARS["2026"])
+    planner.reset(Run(1, Ami.AUTOCROSS, AsState.AS_DRIVING, may_move=True))
+    for look in range(160):
+        yaw = 0.025 * look
+        here = Motion(look * LOOK_NS, 10.0 * math.sin(yaw), 10.0 - 10.0 * math.cos(yaw), yaw, 5.0, 0.5, 0.25 * look)
+        places = to_vehicle(here, xy)
+        ahead, aside = places.T
+        seen = (ahead > 0.6) & (np.hypot(ahead, aside) < 14.0) & (np.abs(np.arctan2(aside, ahead)) < 1.0)
+        plan = planner.on_cones(ConeObservation(here.t_ns, places[seen], color[seen], np.ones(seen.sum())), here)
+        assert plan is not None and not plan.lost, (here.distance_m, plan.note if plan else "")
 
 
 def test_a_way_that_goes_on_to_cross_a_border_is_lost() -> None:

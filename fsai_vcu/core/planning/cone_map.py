@@ -11,15 +11,12 @@ import math
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
-from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.arrays import Bools, Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import aside, in_view, joined, matched
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, resampled_ring, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
-
-Bools = NDArray[np.bool_]
 
 NEAR_M = 25.0  # cones further from the car cannot be seen
 RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not in sight now

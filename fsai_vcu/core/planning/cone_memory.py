@@ -10,15 +10,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.arrays import Bools, Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
 from fsai_vcu.core.planning.pose import gaps, to_odometry, to_vehicle, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.values import Value
-
-Bools = NDArray[np.bool_]
 
 N_COLORS = len(ConeColor)
 BIG = int(ConeColor.BIG_ORANGE)  # compared with an array it takes a ninth of the time of an enum's member

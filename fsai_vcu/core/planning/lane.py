@@ -15,15 +15,12 @@ from functools import cache
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
-from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.arrays import Bools, Floats, Ints
 from fsai_vcu.core.planning.cone_memory import SURE_SIDE, Cones
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.values import Value
-
-Bools = NDArray[np.bool_]
 
 # Distances of a cone from the lane's middle, m: nearer than INSIDE it stands in the way, from BORDER_NEAR to BORDER_FAR
 # it is a border, beyond OUTSIDE it belongs to something else. The car is 1.43 m wide.

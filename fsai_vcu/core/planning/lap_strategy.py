@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.arrays import Bools, Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -31,6 +31,8 @@ KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence with
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
 BORDER_APART_M = 5.0  # … at most so far apart
+# Cones that the lane has so surely on its other side have a wrong colour, if they are no more than such a share.
+CONTRARY, MISTAKEN_SHARE = 0.1, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
@@ -81,10 +83,10 @@ class LapStrategy:
             course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)
             self._kept_confidence = 0.0  # what the last look at the lane found is far behind
         else:
-            course = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
+            course, stands = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
             free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
-            within, crossing = within_borders(course, sure_xy_m, cones.side[sure])
+            within, crossing = within_borders(course, sure_xy_m, unmistaken(cones.side, stands)[sure])
             notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, crossing, course.note)
             confidence = clear * free * within * course.confidence
             course = replace(course, confidence=confidence, note="; ".join(filter(None, notes)))
@@ -114,8 +116,11 @@ class LapStrategy:
         share = min(max((self._known - none) / KNOWN_SPAN, 0.0), 1.0)
         return share, f"{100.0 * (1.0 - self._known):.0f} % of the cones seen stand where none was before"
 
-    def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion, middle: Floats | None) -> Course:
-        """The way on in the lane that the cones around the car make. `middle`: the lane's by the map (vehicle)."""
+    def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion, middle: Floats | None) -> tuple[Course, Floats]:
+        """The way on in the lane that the cones around the car make, and the (N,) sides on which it has them.
+
+        `middle`: the lane's by the map (vehicle).
+        """
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
         if middle is None and self._kept_confidence > SURE:
             middle = to_vehicle(motion, self._middle)
@@ -129,14 +134,15 @@ class LapStrategy:
             memory.vote(cones.index, lane.side)
             self._middle = to_odometry(motion, lane.middle_m)
             self._kept, self._kept_at, self._kept_confidence = path, motion, lane.confidence
-            return Course(path, supported_m=lane.supported_m, confidence=lane.confidence, note=lane.note)
-        path = self._kept_path(motion)
+            course = Course(path, supported_m=lane.supported_m, confidence=lane.confidence, note=lane.note)
+            return course, lane.side
+        path, nowhere = self._kept_path(motion), np.zeros(len(cones.xy_m))
         if not len(path):
-            return Course(path, supported_m=0.0, confidence=0.0, note=lane.note)
+            return Course(path, supported_m=0.0, confidence=0.0, note=lane.note), nowhere
         age_ns = motion.t_ns - self._kept_at.t_ns
         confidence = self._kept_confidence * (1.0 - age_ns / (self._settings.keep_path_ns + 1))
         note = f"path kept from {age_ns / S:.1f} s ago"
-        return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note)
+        return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note), nowhere
 
     def _kept_path(self, motion: Motion) -> Floats:
         """Return what is left of the last path, if it is not too old."""
@@ -187,9 +193,23 @@ def free_of_cones(course: Course, sure_xy_m: Floats) -> tuple[float, str]:
     return IN_LANE_SHARE**inside, f"{inside} cone{'s' * (inside != 1)} in the lane" if inside else ""
 
 
+def unmistaken(side: Floats, stands: Floats) -> Floats:
+    """Sides of cones (N,) as they are known, but 0 for a few that the lane has on its other side.
+
+    A detector may take a cone's colour for the other one in every look, and each such cone would make a border of its
+    own. stands: (N,) side on which the lane has them, +1 certainly on its left … -1 certainly on its right.
+    """
+    contrary = side * stands < -CONTRARY
+    if np.count_nonzero(contrary) > MISTAKEN_SHARE * np.count_nonzero(np.abs(stands) > CONTRARY):
+        return side
+    known: Floats = np.where(contrary, 0.0, side)
+    return known
+
+
 def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[float, str]:
     """The share of confidence that is left by a path between two neighbouring cones of one border, and the note on it.
 
+    A border has two cones at least on each side of such a path: one cone alone may have a wrong colour.
     side: (N,) of the cones (N, 2, vehicle frame), as in `Cones`.
     """
     path = course.path_m[lengths_along(course.path_m) <= course.supported_m] if len(course.path_m) else course.path_m
@@ -200,18 +220,21 @@ def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[flo
     for sign, name in ((1.0, "left"), (-1.0, "right")):
         border = sure_xy_m[nearest][sign * side[nearest] > EXPECTED]
         one, other = np.nonzero(np.triu(gaps(border, border) < BORDER_APART_M, 1))
-        if crossed(path, border[one], border[other]):
+        apart = crossed(path, border[one], border[other])
+        accompanied = np.bincount(np.concatenate((one[~apart], other[~apart])), minlength=len(border)) > 0
+        if (apart & accompanied[one] & accompanied[other]).any():
             return CROSSED_SHARE, f"the way crosses the {name} border"
     return 1.0, ""
 
 
-def crossed(path_m: Floats, begin_m: Floats, end_m: Floats) -> bool:
-    """Return true where a path (M, 2) crosses a line from one of the places (P, 2) to the other of the same row."""
+def crossed(path_m: Floats, begin_m: Floats, end_m: Floats) -> Bools:
+    """(P,) whether a path (M, 2) crosses the line from one of the places (P, 2) to the other of the same row."""
     step, line = np.diff(path_m, axis=0)[:, None], (end_m - begin_m)[None]
     to_begin, to_end = begin_m[None] - path_m[:-1, None], end_m[None] - path_m[:-1, None]
     after = to_begin - step
     ends_apart = _across(step, to_begin) * _across(step, to_end) < 0.0
-    return bool((ends_apart & (_across(line, to_begin) * _across(line, after) <= 0.0)).any())
+    meets = ends_apart & (_across(line, to_begin) * _across(line, after) <= 0.0)
+    return np.asarray(meets.any(axis=0))
 
 
 def _across(one: Floats, other: Floats) -> Floats:

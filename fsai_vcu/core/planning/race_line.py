@@ -10,16 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded  # type: ignore[import-untyped]
 
-from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.arrays import Bools, Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled_ring, ring_curvature, to_vehicle
 from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.values import Value
-
-Bools = NDArray[np.bool_]
 
 MARGIN_M = 0.3  # between body and cones
 RACED_MPS2, RACED_MPS = 9.0, 13.0  # at most, in corners: the tyres' slip turns the nose inward
