@@ -57,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
             continue
         print(_head(layout))
         if args.what == "show":
+            print(f"    {printable(layout.comment)}\n" if layout.comment else "", end="")
             print("".join(f"    {_shown(signal)}\n" for signal in layout.signals), end="")
     if unknown:
         names = (layout.name for layout in layouts)

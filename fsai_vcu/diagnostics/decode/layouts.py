@@ -48,6 +48,7 @@ class MessageLayout(NamedTuple):
     senders: tuple[str, ...]
     signals: tuple[SignalLayout, ...]
     plain: bool
+    comment: str = ""
 
     def is_called(self, name: str) -> bool:
         """Return true where that is its name (with * and ?) or its identifier (520 or 0x520)."""
