@@ -56,4 +56,6 @@ def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> 
     text = (*replace(verdict, findings=tuple(others)).lines(), f"verdict: {verdict.line()}")
     for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
+    if not (args.timeline or args.json):
+        print(f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)")
     return verdict.status
