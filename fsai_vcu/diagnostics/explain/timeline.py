@@ -78,7 +78,8 @@ SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
 def timeline(record: Record) -> list[TimelineEntry]:
     """Every event of the log in the order of time."""
     chapters = (
-        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _service_brakes, _link, _bus,
+        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _service_brakes, _link,
+        _bus,
     )  # fmt: skip
     events = sorted((event for chapter in chapters for event in chapter(record)), key=_order)
     return sorted(_to_and_fro(events, record.begin_ns), key=_order)
