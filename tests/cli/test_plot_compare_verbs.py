@@ -118,7 +118,7 @@ def test_a_sender_that_one_log_lacks_is_one_entry(
     for path, more in zip(logs, (gps, also), strict=True):
         path.write_text("".join(f"({n}.0) can0 520#0000020000000000\n" for n in range(5)) + more)
     assert main(["compare", *map(str, logs)]) == 1
-    last = [line for line in capsys.readouterr().out.splitlines() if "0x621" in line][0]
+    last = next(line for line in capsys.readouterr().out.splitlines() if "0x621" in line)
     heard = "0x621 GPS_CourseSpeed, 0x630 IO" if also else "all of PCAN_GPS (0x621, 0x630)"
     assert last == f"only in {logs[0]}: {heard}"
 
