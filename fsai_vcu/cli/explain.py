@@ -13,7 +13,7 @@ from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 
-EXAMPLE = "fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"
+EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
 From the frames alone: for every emergency brake and every refusal to start the
 cause, the evidence and what to do about it; then the verdict that check gives.
