@@ -14,6 +14,7 @@ import numpy as np
 
 from fsai_vcu.cli.decoding import Decoding, add_database_arguments
 from fsai_vcu.cli.sources import Sources, add_part_arguments, judged
+from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.finding import Finding
@@ -73,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
         )
     states, numbers = _signals(first, second, patterns or ["*"])
     differences += states
-    differences += [] if patterns else _messages(args.logs, *(one.bus for one in found))
+    layouts = first.decoder.databases.layouts
+    differences += [] if patterns else _messages(args.logs, layouts, *(one.bus for one in found))
     differences += numbers
     if args.json:
         print("".join(f"{json.dumps({**facts, 'words': words})}\n" for words, facts in differences), end="")
@@ -86,9 +88,22 @@ def _for_people(logs: Sequence[str], differences: Sequence[Difference]) -> Itera
     """The lines: which log is which, then the differences, with the messages of one log only in one line."""
     yield f"first: {logs[0]}, second: {logs[1]}"
     for alone, some in groupby(differences, lambda one: one[1].get("only_in", "") if "message" in one[1] else ""):
-        lines = [words for words, _ in some]
-        begin = f"only in {alone}: "
-        yield from [begin + ", ".join(line.removeprefix(begin) for line in lines)] if alone else lines
+        if alone:
+            yield f"only in {alone}: {', '.join(_alone(list(some), f'only in {alone}: '))}"
+        else:
+            yield from (words for words, _ in some)
+
+
+def _alone(some: Sequence[Difference], begin: str) -> Iterator[str]:
+    """The messages of one log only; those of a sender that the other log lacks together."""
+    senders = Counter(facts.get("all_of") for _, facts in some)
+    for words, facts in some:
+        sender = facts.get("all_of")
+        if not sender or senders[sender] == 1:
+            yield words.removeprefix(begin)
+        elif senders.pop(sender, 0):
+            ids = ", ".join(f"0x{other['id']:03X}" for _, other in some if other.get("all_of") == sender)
+            yield f"all of {sender} ({ids})"
 
 
 def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
@@ -105,11 +120,15 @@ def _problems(here: Verdict, there: Verdict) -> Iterator[str]:
             yield f"{here.moment(finding)}{finding.words}"
 
 
-def _messages(logs: Sequence[str], first: BusStatistics, second: BusStatistics) -> Iterator[Difference]:
+def _messages(
+    logs: Sequence[str], layouts: Mapping[int, MessageLayout], first: BusStatistics, second: BusStatistics
+) -> Iterator[Difference]:
     """The messages of one log only, those of a log together, then other periods."""
     periods_differ: list[Difference] = []
     alone: tuple[list[Difference], list[Difference]] = [], []
     ours, theirs = ({(m.extended, m.can_id): m for m in bus.messages} for bus in (first, second))
+    sender = {(one.extended, one.can_id): ", ".join(one.senders) for one in layouts.values()}
+    heard = [{sender.get(key, "") for key in log} for log in (ours, theirs)]
     for key in sorted({*ours, *theirs}):
         before, after = ours.get(key), theirs.get(key)
         there = before or after
@@ -118,8 +137,9 @@ def _messages(logs: Sequence[str], first: BusStatistics, second: BusStatistics) 
         periods = {"first": before and before.mean_ms, "second": after and after.mean_ms}
         facts = {"message": there.name, "id": there.can_id, "mean_ms": periods}
         if before is None or after is None:
-            where = logs[before is None]
-            alone[before is None].append((f"only in {where}: {name}", {**facts, "only_in": where}))
+            where, of = logs[before is None], sender.get(key, "")
+            facts |= {"only_in": where} | ({"all_of": of} if of and of not in heard[after is None] else {})
+            alone[before is None].append((f"only in {where}: {name}", facts))
         elif before.mean_ms and after.mean_ms and abs(after.mean_ms / before.mean_ms - 1.0) > SHARE:
             words = f"{name}: first every {before.mean_ms:.1f} ms, second every {after.mean_ms:.1f} ms"
             periods_differ.append((words, facts))

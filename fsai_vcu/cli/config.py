@@ -57,11 +57,21 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(configuration.described()))
         for node, parameters in configuration.parameters().items():
             print(f"\nparameters of {node}:")
-            print("\n".join(f"  {name}: {json.dumps(value)}" for name, value in parameters.items()))
+            print("\n".join(_parameter(configuration, node, name, value) for name, value in parameters.items()))
     else:
         print(f"{path}: right")
         print("\n".join(f"operational limits: {line}" for line in configuration.limits_described()))
     return 0
+
+
+def _parameter(configuration: Configuration, node: str, name: str, value: object) -> str:
+    """Return the line of a parameter, with the setting that it comes from, whose name says the unit."""
+    line = f"  {name}: {json.dumps(value)}"
+    key = next((key for key in KEYS if (key.node, key.parameter) == (node, name)), None)
+    if key is None:
+        return line
+    lowered = ", lowered to the operational limits" if configuration.value(key.table, key.name) != value else ""
+    return f"{line}  # {key.spelt}{lowered}"
 
 
 def _read(args: argparse.Namespace, path: Path) -> Configuration:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
@@ -17,7 +17,6 @@ from fsai_vcu.printable import printable
 EXAMPLE = (
     "fsai-vcu dbc show 0x520\n  fsai-vcu dbc show ANGLE\n  fsai-vcu dbc show steering\n  fsai-vcu dbc diff 2021 2026"
 )
-_WORD = 4  # letters, from which on a word is looked for in names
 ABOUT = """\
 A database is a file that cantools reads, or the name of an interface revision
 (2021 or 2026). list: its messages; show: signals by message name (or a word of
@@ -48,7 +47,10 @@ def run(args: argparse.Namespace) -> int:
             print(line)
         return 1 if lines else 0
     layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
-    found = {name: [one for one in layouts if _asked(one, name)] or _like(layouts, name) for name in args.names}
+    found = {
+        name: [one for one in layouts if _asked(one, name)] or [one for one in layouts if one.has_in_name(name)]
+        for name in args.names
+    }
     chosen = [one for one in layouts if not args.names or any(one in each for each in found.values())]
     unknown = [name for name, each in found.items() if not each]
     for layout in chosen:
@@ -57,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
             continue
         print(_head(layout))
         if args.what == "show":
+            print(f"    {printable(layout.comment)}\n" if layout.comment else "", end="")
             print("".join(f"    {_shown(signal)}\n" for signal in layout.signals), end="")
     if unknown:
         names = (layout.name for layout in layouts)
@@ -69,18 +72,6 @@ def run(args: argparse.Namespace) -> int:
 def _asked(layout: MessageLayout, name: str) -> bool:
     """Return true for the name of the message, or of a signal in it."""
     return layout.is_called(name) or any(signal.name.casefold() == name.casefold() for signal in layout.signals)
-
-
-def _like(layouts: Sequence[MessageLayout], word: str) -> list[MessageLayout]:
-    """The messages in whose name is that word, or its beginning: VCU2AI_Steer for steer and for steering."""
-    sought = word.casefold()
-    if len(sought) < _WORD or "_" in sought:
-        return []
-
-    def is_like(part: str) -> bool:
-        return sought in part or (len(part) >= _WORD and sought.startswith(part))
-
-    return [one for one in layouts if any(map(is_like, one.name.casefold().split("_")))]
 
 
 def _load(name: str) -> Databases:

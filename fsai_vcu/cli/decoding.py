@@ -7,10 +7,11 @@ import sys
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Final
 
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.log.frames import Frames
@@ -19,8 +20,8 @@ from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.printable import printable
 
-if TYPE_CHECKING:
-    pass
+_MESSAGES: Final = 3  # whose signals an error names …
+_SIGNALS: Final = 4  # … and how many of each
 
 
 def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
@@ -92,9 +93,9 @@ class Decoding:
         for pattern in patterns:
             if not any(layout.signals_like([pattern]) for layout in layouts):
                 known = (signal.name for layout in layouts for signal in layout.signals)
-                meant = did_you_mean(pattern.rpartition(".")[2], known)
-                lists = " fsai-vcu dbc show lists all" if meant else "; fsai-vcu dbc show lists them"
-                raise UserError(f"no signal {pattern}{meant}{lists}")
+                meant, inside = did_you_mean(pattern.rpartition(".")[2], known), _in_messages_like(pattern, layouts)
+                lists = "lists all" if meant or inside else "lists them"
+                raise UserError(f"no signal {pattern}{meant or ';'}{inside} fsai-vcu dbc show {lists}")
         return patterns
 
     def show_signals(self, names: str | None) -> None:
@@ -132,3 +133,12 @@ class Decoding:
         """Drop the databases, the decoder and the writer that were made by what was known before."""
         for name in ("databases", "decoder", "writer"):
             self.__dict__.pop(name, None)
+
+
+def _in_messages_like(word: str, layouts: Sequence[MessageLayout]) -> str:
+    """The signals of the messages that have that word in their names, for an error about an unknown signal."""
+    found = {layout.name: layout for layout in layouts if layout.has_in_name(word)}
+    return "".join(
+        f" {name} has {', '.join(signal.name for signal in layout.signals[:_SIGNALS])};"
+        for name, layout in list(found.items())[:_MESSAGES]
+    )

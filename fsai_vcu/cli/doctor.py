@@ -14,7 +14,7 @@ from pathlib import Path
 
 from fsai_vcu.arguments import add_bus_argument
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.diagnostics.doctor.checks import examine
+from fsai_vcu.diagnostics.doctor.checks import FOR_THE_CAR, examine
 from fsai_vcu.diagnostics.doctor.collect import collect, laptop
 from fsai_vcu.diagnostics.doctor.machine import Wanted
 from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
@@ -90,10 +90,12 @@ def _show(findings: Sequence[Finding], *, as_json: bool) -> int:
         print(f"{_MARKS[finding.severity]:<5} {finding.kind:<{width}}  {finding.words}")
         if finding.remedy:
             print(f"{'':5} {'':<{width}}  -> {finding.remedy}")
-    laptop = any(finding.kind == "machine" for finding in findings)
-    to_do = sum(bool(finding.remedy) for finding in findings if finding.severity != "problem")
-    well = f"nothing is wrong; {to_do} to put in order (->)" if to_do else "all is well"
-    print(f"{wrong} wrong" if wrong else f"{well}{'; for simulation: ready; for the car: not set up' * laptop}")
+    lacks = sum(finding.kind == FOR_THE_CAR for finding in findings)
+    to_do = sum(bool(finding.remedy) for finding in findings if finding.severity != "problem") - lacks
+    well = "this computer can simulate" if lacks else "nothing is wrong" if to_do else "all is well"
+    well += f"; {to_do} to put in order (->)" * bool(to_do)
+    last = f"{wrong} wrong" if wrong else well
+    print(last + f"; it cannot drive the car: the lines '{FOR_THE_CAR}' say what it lacks" * bool(lacks))
     return 1 if wrong else 0
 
 

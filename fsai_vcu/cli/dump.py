@@ -19,7 +19,8 @@ from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = (
-    "fsai-vcu VERB can0,520:7FF,510:7FF,#FFFFFFFF -t z\n"
+    "fsai-vcu VERB can0\n"
+    "  fsai-vcu VERB can0,520:7FF,510:7FF,#FFFFFFFF -t z\n"
     "  fsai-vcu VERB run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
 )
 _ON_SCREEN: Final = 100  # frames of a log: more of them would only flood a terminal

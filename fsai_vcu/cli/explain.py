@@ -13,7 +13,7 @@ from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 
-EXAMPLE = "fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"
+EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
 From the frames alone: for every emergency brake and every refusal to start the
 cause, the evidence and what to do about it; then the verdict that check gives.
@@ -56,4 +56,6 @@ def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> 
     text = (*replace(verdict, findings=tuple(others)).lines(), f"verdict: {verdict.line()}")
     for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
+    if not (args.timeline or args.json):
+        print(f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)")
     return verdict.status

@@ -22,7 +22,7 @@ MEANT: Final[Mapping[str, str]] = {
     "status": "state why info",
     "dump": "candump bus can frames sniff listen cat tail",
     "decode": "signals cantools",
-    "monitor": "view show look see live top tui gui screen dashboard",
+    "monitor": "state view show look see live top tui gui screen dashboard",
     "pitwall": "view show look see live web browser http server dashboard play player rviz",
     "foxglove": "rviz plotjuggler",
     "check": "test tests validate verify statistics figures load jitter errors",

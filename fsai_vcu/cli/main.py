@@ -99,6 +99,8 @@ class Parser(argparse.ArgumentParser):
             message += did_you_mean(words.split()[0].partition("=")[0], options, few=0)
         said = "; did you mean " in message or "; there are: " in message
         more = "" if said else f"; {self.prog} --help shows what there is"
+        if " are required: " in message and self.epilog:
+            more = f", as in {self.epilog.splitlines()[1].strip()}{more}"
         self.exit(2, f"{self.prog}: {message}{more}\n")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -12,7 +12,7 @@ EXAMPLE = "fsai-vcu mode autonomous"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("mode", help="autonomous or manual")
+    parser.add_argument("mode", metavar="autonomous|manual", help="the mode to set")
     add_bridge_arguments(parser)
 
 

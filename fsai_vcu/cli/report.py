@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
+from fsai_vcu.diagnostics.log.recorded import beside
 from fsai_vcu.diagnostics.page.document import of_log
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -62,7 +63,7 @@ def _beside(sources: Sources) -> Path:
     """The page's place where none is named: beside the log. Raises WrongUse where there is no one log, or a file."""
     if not sources.files or len(sources.names) > 1:
         raise WrongUse("-o is missing: -o report.html")
-    page = Path(sources.name).with_suffix(".html")
+    page = beside(Path(sources.name), ".html")
     if page.exists():
         raise WrongUse(f"{page} exists already: -o {page} writes over it")
     return page

@@ -19,17 +19,19 @@ from fsai_vcu.runtime.bus import BusLost, CanBus, open_bus
 from fsai_vcu.runtime.lock import InterfaceLock
 
 EXAMPLE = (
-    "fsai-vcu send can0 BenchLamp COLOUR=RED --dbc bench.dbc --count 10 --period 100\n"
+    "fsai-vcu send vcan0 AI2VCU_Steer STEER_REQUEST=5 --as-ai\n"
+    "  fsai-vcu send can0 BenchLamp COLOUR=RED --dbc bench.dbc --count 10 --period 100\n"
     "  fsai-vcu send AI2VCU_Steer STEER_REQUEST=5 --as-ai --dry-run"
 )
 ABOUT = """\
 Signals that are not named get the database's initial value, or 0; where 0 is
 out of range they must be named. Values are numbers or words of the signal's
 table. Identifiers that are reserved for the car, the VCU's and those of the
-car's other devices are always refused. The AI computer's own (0x510 to 0x514,
-0x501) are refused without --as-ai: a car that receives them switches its tractive
-system on and arms its EBS. A bus on which another program sends them already is
-refused, and left at once if one begins to."""
+car's other devices are always refused. The AI computer's own (0x510 to 0x514)
+are refused without --as-ai: a car that receives them switches its tractive
+system on and arms its EBS. So is 0x501 of the PCAN-GPS, which an AI computer
+sends only on a car that has none. A bus on which another program sends
+them already is refused, and left at once if one begins to."""
 
 _LISTEN_S = 0.5  # fifty cycles of a bridge
 _LEAST_LISTEN_S = 0.2  # as long as a bridge itself listens before it sends

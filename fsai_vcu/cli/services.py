@@ -206,7 +206,8 @@ def vehicle_state(args: argparse.Namespace) -> Any:
             others = [name for name in node.get_node_names() if name != node.get_name() and not name.startswith("_")]
             if args.wait is None and waited_s >= _NO_NODE_S and not (others or node_is_here):
                 domain = os.environ.get("ROS_DOMAIN_ID", "0")
-                raise UserError(f"no ROS node runs here, on ROS_DOMAIN_ID {domain}; --wait S waits for one")
+                instead = "--wait S waits for one, and fsai-vcu monitor shows a bus without ROS"
+                raise UserError(f"no ROS node runs here, on ROS_DOMAIN_ID {domain}; {instead}")
             if waited_s >= say_s:
                 say_s = math.inf
                 print(f"waiting for {node.resolve_topic_name('vehicle_state')}, {wait_s:g} s at most", file=sys.stderr)

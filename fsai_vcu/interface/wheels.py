@@ -27,11 +27,6 @@ class WheelMapping(Value, frozen=True):
     def __str__(self) -> str:
         return f"fl={self.fl},fr={self.fr},rl={self.rl},rr={self.rr}"
 
-    @property
-    def straight(self) -> bool:
-        """True where every wheel is in its own signal."""
-        return (self.fl, self.fr, self.rl, self.rr) == WHEELS
-
     def source_of(self, wheel: str) -> str:
         """The position whose signals carry `wheel`."""
         return {"fl": self.fl, "fr": self.fr, "rl": self.rl, "rr": self.rr}[wheel]

@@ -261,7 +261,7 @@ class Configuration(Value, frozen=True):
             found[key.node][key.parameter] = float(value) if isinstance(key.default, float) else value
         for node in ("vcu_bridge", "path_planner", "vehicle_controller"):
             found[node]["car"] = self.car
-        found["vcu_bridge"]["wheel_mapping"] = "" if self.wheel_mapping.straight else str(self.wheel_mapping)
+        found["vcu_bridge"]["wheel_mapping"] = str(self.wheel_mapping)
         found["vcu_bridge"]["dbc_files"] = ",".join(self.dbc_files)
         found["vcu_bridge"]["limits"] = str(self.limits_path or "")
         if self.limits is not None:
@@ -285,10 +285,14 @@ class Configuration(Value, frozen=True):
     def described(self) -> tuple[str, ...]:
         """The settings, one line each, and after them the limits: for the screen and beside every log."""
         lines = [f"{key.spelt} = {_shown(self.value(key.table, key.name))}" for key in KEYS]
-        return (*lines, *(f"operational limit {line}" for line in self.limits_described()))
+        return (*lines, *(f"operational limits: {line}" for line in self.limits_described()))
 
     def limits_described(self) -> tuple[str, ...]:
-        return ("none but the car's own",) if self.limits is None else self.limits.described()
+        if self.limits is not None:
+            return self.limits.described()
+        car, steer_deg = CARS[self.car], REVISIONS[self.revision].steer_limit_deg  # at most: ANGLE_MAX may be lower
+        own = OperationalLimits(round(car.speed_max_mps, 1), car.axle_torque_max_nm, steer_deg)
+        return (f"none by an official; the car's own: {', '.join(own.described())}",)
 
 
 def read_configuration(path: Path | str) -> Configuration:

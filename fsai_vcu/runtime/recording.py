@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from typing import TextIO
 
@@ -27,7 +28,8 @@ class CandumpWriter:
 
     def __init__(self, path: Path | str, interface: str, *, offset_ns: int = 0, flush_every: int = 500) -> None:
         """`offset_ns` is added to each frame's time: wall clock minus monotonic, so that logs of tools agree."""
-        self._file: TextIO = Path(path).open("w", encoding="ascii")  # noqa: SIM115  closed by close()
+        pack = str(path).endswith(".gz")
+        self._file: TextIO = (gzip.open if pack else open)(path, "wt", encoding="ascii")
         self._interface = interface
         self._offset_ns = offset_ns
         self._flush_every = flush_every

@@ -15,6 +15,7 @@ def test_a_message_is_shown_by_number_name_or_pattern(name: str, capsys: pytest.
     lines = capsys.readouterr().out.splitlines()
     assert lines == [
         "0x513 AI2VCU_Steer: 2 bytes, every 10 ms, from AI",
+        "    Steering request. Believed in AS_DRIVING only.",
         "    STEER_REQUEST: bit 0, 16 bits signed, x 0.1 deg, -30 to 30, little-endian",
         "        Bicycle-model road angle, positive to the left (ISO 8855)."
         " ANGLE_MAX in 0x523 may be lower than the range.",

@@ -331,7 +331,8 @@ HEARD = BusTraffic(2.0, frames=90, from_car=True, from_others=True, revision="20
 @pytest.mark.parametrize(
     ("machine", "topic", "level", "words", "todo"),
     [
-        (LAPTOP, "machine", "note", "a laptop", ""),
+        (LAPTOP, "for the car", "note", "no car software", "sudo make install"),
+        (LAPTOP, "for the car", "note", "no CAN adapter", "docs/connect.md"),
         (LAPTOP, "bus", "note", "this kernel has no vcan: loopback:NAME", ""),
         (replace(LAPTOP, kernel_has_vcan=True), "bus", "note", "no vcan0 yet", "ip link add dev vcan0 type vcan"),
         (replace(LAPTOP, vcan="vcan0"), "bus", "right", "vcan0 is up", ""),
@@ -360,6 +361,11 @@ def test_a_laptop_is_told_what_it_lacks(machine: Machine, topic: str, level: str
     assert len(found) == 1 and found[0].severity == level and todo in found[0].remedy
 
 
+def test_a_laptop_with_an_adapter_lacks_only_the_software() -> None:
+    found = [each.words for each in examine(replace(LAPTOP, interfaces=("can0",))) if each.kind == "for the car"]
+    assert len(found) == 1 and "software" in found[0]
+
+
 def test_a_laptop_is_not_asked_for_what_a_car_pc_has(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -367,24 +373,24 @@ def test_a_laptop_is_not_asked_for_what_a_car_pc_has(
         monkeypatch.setattr(f"fsai_vcu.cli.doctor.{name}", tmp_path / "absent")
     main(["doctor", "--json"])
     topics = [each["topic"] for each in json.loads(capsys.readouterr().out)["findings"]]
-    assert topics[0] == "machine" and not {"services", "configuration", "permissions", "disk"} & set(topics)
+    assert topics[-1] == "for the car" and not {"services", "configuration", "permissions", "disk"} & set(topics)
     (tmp_path / "absent").touch()
     main(["doctor", "--json"])
     assert "configuration" in {each["topic"] for each in json.loads(capsys.readouterr().out)["findings"]}
 
 
-ON_A_LAPTOP = "; for simulation: ready; for the car: not set up"
+ON_A_LAPTOP = "; it cannot drive the car: the lines 'for the car' say what it lacks"
 
 
 @pytest.mark.parametrize(
     ("machine", "last"),
     [
-        (replace(LAPTOP, may_be_real_time=True), f"all is well{ON_A_LAPTOP}"),
+        (replace(LAPTOP, may_be_real_time=True), f"this computer can simulate{ON_A_LAPTOP}"),
         (
             replace(LAPTOP, may_be_real_time=True, dds_leftovers=LEFT),
-            f"nothing is wrong; 1 to put in order (->){ON_A_LAPTOP}",
+            f"this computer can simulate; 1 to put in order (->){ON_A_LAPTOP}",
         ),
-        (replace(LAPTOP, ros=Ros(), dds_leftovers=LEFT), "1 wrong"),
+        (replace(LAPTOP, ros=Ros(), dds_leftovers=LEFT), f"1 wrong{ON_A_LAPTOP}"),
     ],
 )
 def test_what_is_to_be_put_in_order_is_not_all_well(
@@ -393,7 +399,7 @@ def test_what_is_to_be_put_in_order_is_not_all_well(
     for name in ("USUAL_PATH", "INSTALLED"):
         monkeypatch.setattr(f"fsai_vcu.cli.doctor.{name}", tmp_path / "absent")
     monkeypatch.setattr("fsai_vcu.cli.doctor.laptop", lambda *_: machine)
-    assert main(["doctor"]) == ("wrong" in last and not last.startswith("nothing"))
+    assert main(["doctor"]) == last.startswith("1 wrong")
     assert capsys.readouterr().out.splitlines()[-1] == last
 
 

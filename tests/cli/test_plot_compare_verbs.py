@@ -110,6 +110,19 @@ def test_shares_are_whole_and_messages_of_one_log_a_line(tmp_path: Path, capsys:
     assert said.index(state) < said.index(alone), "states first"
 
 
+@pytest.mark.parametrize("also", ["", "(9.9) can0 640#0000000000000000\n"])
+def test_a_sender_that_one_log_lacks_is_one_entry(
+    also: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs, gps = [tmp_path / "a.log", tmp_path / "b.log"], "(9.9) can0 621#0000000000000000\n(9.9) can0 630#00\n"
+    for path, more in zip(logs, (gps, also), strict=True):
+        path.write_text("".join(f"({n}.0) can0 520#0000020000000000\n" for n in range(5)) + more)
+    assert main(["compare", *map(str, logs)]) == 1
+    last = next(line for line in capsys.readouterr().out.splitlines() if "0x621" in line)
+    heard = "0x621 GPS_CourseSpeed, 0x630 IO" if also else "all of PCAN_GPS (0x621, 0x630)"
+    assert last == f"only in {logs[0]}: {heard}"
+
+
 def test_each_difference_is_an_object_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = log(tmp_path / "b.log", period_ms=20, angle=80)
     assert main(["compare", str(log(tmp_path / "a.log")), str(other), "--json"]) == 1
@@ -163,3 +176,8 @@ def test_parts_messages_and_signals_alone_are_compared(tmp_path: Path, capsys: p
     assert "no signal NO_SUCH" in capsys.readouterr().err
     assert main([*argv, "--signals", "ANGEL"]) == 1
     assert "no signal ANGEL; did you mean ANGLE" in capsys.readouterr().err
+    assert main([*argv, "--signals", "steering"]) == 1
+    said = capsys.readouterr().err
+    assert (
+        "STEERING_STATUS" in said and "VCU2AI_Steer has ANGLE, " in said and "AI2VCU_Steer has STEER_REQUEST;" in said
+    )

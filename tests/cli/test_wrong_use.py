@@ -64,7 +64,12 @@ USES = [
     ("dump run.log -t q", 2, "argument -t: invalid choice: 'q'; there are: a, A, d, z"),
     ("plot run.log", 2, "no signal is named: fsai-vcu plot run.log ANGLE 'VCU2AI_Speeds.*'"),
     (f"report {BUS} --seconds 1", 2, "-o is missing: -o report.html"),
-    ("send no0 513#3200", 2, "'513#3200' is a raw frame, for cansend; here: MESSAGE SIGNAL=VALUE"),
+    ("send no0 513#3200", 2, "'513#3200' is a raw frame, for cansend; here: AI2VCU_Steer STEER_REQUEST=…"),
+    ("send no0 7FF#00", 2, "'7FF#00' is a raw frame, for cansend; here: send takes BUS MESSAGE SIGNAL=VALUE, and "),
+    ("send no0", 1, "no message 'no0'; send takes BUS MESSAGE SIGNAL=VALUE, and fsai-vcu dbc show lists"),
+    ("send", 2, "are required: MESSAGE, SIGNAL=VALUE, as in fsai-vcu send vcan0 AI2VCU_Steer STEER_REQUEST=5 --as-ai"),
+    ("replay", 2, "are required: LOG[,FILTER…], as in fsai-vcu replay run.log vcan0 "),
+    ("mode", 2, "are required: autonomous|manual, as in fsai-vcu mode autonomous"),
     # ---------------------------------------------------------------- databases and dumps
     ("dbc show VCU2AI_Stear", 1, "no message or signal VCU2AI_Stear in 2026; did you mean VCU2AI_Steer"),
     ("dbc show 0x513 nothing", 1, "no message or signal nothing in 2026"),

@@ -12,7 +12,7 @@ from story_runs import Act, Run, branch, driving, off, parked, ready, tell
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import Drop, FrameFault, Freeze, WrongLength, WrongValues
-from fsai_vcu.diagnostics.explain import IncidentKind
+from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
 from fsai_vcu.interface.enums import Ami, Direction, EbsState
 from fsai_vcu.interface.enums import MissionStatus as Status
 from fsai_vcu.interface.frames import Frame
@@ -341,3 +341,12 @@ def test_the_action_on_the_car_is_named_first_with_its_time(end: End) -> None:
 def test_what_stops_the_car_is_not_told_as_a_mismatch_too() -> None:
     stopped = branch(driving(), sense(spinning), 1.2).frames
     assert [incident.kind for incident in tell(stopped).incidents] == [IncidentKind.EMERGENCY]
+
+
+def test_a_service_brake_before_the_emergency_brake_is_told() -> None:
+    story = explained(Record(branch(driving(), sense(turned), 2.0).frames))
+    (incident,) = story.incidents
+    words = [step.words for step in incident.candidates[0].steps]
+    braked = next(at for at, each in enumerate(words) if "the brake goes to 80 %" in each)
+    assert "implausible" in words[braked - 1] and "ESTOP_REQUEST" in words[braked + 1]
+    assert any("the brake goes to 80 %" in event.text for event in story.events), "in the timeline too"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
 import re
@@ -192,6 +193,14 @@ def test_the_verb_writes_the_page_and_says_where(
     assert main(["report", str(log), "-o", str(out)]) == 1  # the verdict's status: it ends in an emergency brake
     assert re.fullmatch(rf"saved {out} \(\d+ kB\); verdict: NOT OK: 1 problem.*\n", capsys.readouterr().out)
     assert out.read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("ending", ["log", "log.gz"])
+def test_the_page_has_the_logs_name_packed_or_not(ending: str, frames: Frames, tmp_path: Path) -> None:
+    lines = b"\n".join(log_lines(frames)) + b"\n"
+    (tmp_path / f"run.{ending}").write_bytes(gzip.compress(lines) if ending.endswith("gz") else lines)
+    main(["report", str(tmp_path / f"run.{ending}")])
+    assert (tmp_path / "run.html").is_file()
 
 
 def test_any_signals_can_be_on_the_page_of_a_foreign_dbc_too(

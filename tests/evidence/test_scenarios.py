@@ -79,10 +79,12 @@ def test_a_replay_is_the_recorded_run(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec, log = "controller_silent:after=5000,duration=1500", tmp_path / "bus.log"
+    again = "controller_silent:since=driving,after=5000,duration=1500"
     assert main(["drive", "--mission", "autonomous_demo", "--fault", spec, "--log", str(log)]) == 0
     assert " 513#" in log.read_text()
     printed = capsys.readouterr().out
-    assert "--fault controller_silent:since=driving,after=5000,duration=1500" in printed
+    again = f"  fsai-vcu drive --mission autonomous_demo --revision 2026 --seed 0 --fault {again} --log {log}"
+    assert printed.splitlines()[1] == again, "every option, and no parameter that the seed gives"
     assert "demanded: " in printed and "as the safety rules demand" in printed
     assert "bridge sees: the vehicle command is stale" in printed
     assert "bridge: AS_DRIVING, torque 0 until what is stale is fresh again" in printed

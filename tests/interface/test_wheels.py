@@ -51,7 +51,5 @@ def test_a_mapping_is_made_from_what_a_configuration_says() -> None:
         WheelMapping.of({"spare": "fl"})
 
 
-def test_a_mapping_says_whether_it_is_straight() -> None:
-    assert STRAIGHT.straight
-    assert not CROSSED.straight
+def test_a_mapping_is_written_wheel_by_wheel() -> None:
     assert str(CROSSED) == "fl=rr,fr=fl,rl=fr,rr=rl"

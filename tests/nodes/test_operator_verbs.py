@@ -110,6 +110,7 @@ def test_status_without_any_node_does_not_wait_for_one(
     monkeypatch.setenv("ROS_DOMAIN_ID", "100")  # that of no other test
     assert main(["status"]) == 1
     words = "no ROS node runs here, on ROS_DOMAIN_ID 100; --wait S waits for one"
+    words += ", and fsai-vcu monitor shows a bus without ROS"
     assert capsys.readouterr().err == f"fsai-vcu status: {words}\n"
 
 

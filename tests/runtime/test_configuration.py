@@ -247,8 +247,14 @@ def test_the_controller_plans_with_the_speed_limit(limit: str, speed: float, tmp
 def test_the_limits_in_force_are_confirmed_with_the_settings(tmp_path: Path) -> None:
     (tmp_path / "limits.toml").write_text("max_steer_deg = 12\n")
     described = parsed(f"[limits]\nfile = '{tmp_path}/limits.toml'\n").described()
-    assert "operational limit max_steer_deg = 12" in described
-    assert "operational limit none but the car's own" in parsed("").described()
+    assert "operational limits: max_steer_deg = 12" in described
+
+
+@pytest.mark.parametrize(("revision", "steer_deg"), [("2021", 21), ("2026", 30)])
+def test_without_official_limits_the_cars_own_are_told(revision: str, steer_deg: int) -> None:
+    last = parsed(f"[can]\nrevision = '{revision}'\n").described()[-1]
+    own = f"max_speed_mps = 30.3, max_axle_torque_nm = 195, max_steer_deg = {steer_deg}"
+    assert last == f"operational limits: none by an official; the car's own: {own}"
 
 
 def test_a_wrong_limit_is_refused_with_its_file_and_line(tmp_path: Path) -> None:

@@ -27,16 +27,17 @@ def test_a_line_is_what_candump_writes() -> None:
     assert candump_line(frame, "vcan0", 1_436_509_053_850_870_999) == "(1436509053.850870) vcan0 513#9CFF"
 
 
-def test_python_can_reads_back_what_was_written(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["run.log", "run.log.gz"])
+def test_python_can_reads_back_what_was_written(name: str, tmp_path: Path) -> None:
     frames = [
         Frame(0x520, bytes(range(8)), 1_000_000_000),
         Frame(0x18FF0001, b"\x01", 1_010_000_000, extended=True),
         Frame(0x080, b"", 1_020_000_000),
     ]
-    with CandumpWriter(tmp_path / "run.log", "vcan0", offset_ns=5_000_000_000) as writer:
+    with CandumpWriter(tmp_path / name, "vcan0", offset_ns=5_000_000_000) as writer:
         for frame in frames:
             writer.write(frame)
-    with can.LogReader(tmp_path / "run.log") as reader:
+    with can.LogReader(tmp_path / name) as reader:
         read = list(reader)
     assert [(m.arbitration_id, bytes(m.data), m.is_extended_id) for m in read] == [
         (f.can_id, f.data, f.extended) for f in frames

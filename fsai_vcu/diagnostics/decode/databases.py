@@ -216,6 +216,7 @@ def _layout(message: Message) -> MessageLayout:
         tuple(message.senders),
         signals,
         plain,
+        _one_line(message.comment),
     )
 
 
@@ -233,8 +234,12 @@ def _signal_layout(signal: Signal) -> SignalLayout:
         {int(raw): str(name) for raw, name in (signal.choices or {}).items()},
         None if signal.minimum is None else float(signal.minimum),
         None if signal.maximum is None else float(signal.maximum),
-        " ".join((signal.comment or "").split()),
+        _one_line(signal.comment),
     )
+
+
+def _one_line(comment: str | None) -> str:
+    return " ".join((comment or "").split())
 
 
 def _lowest_bit(signal: Signal) -> int:

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 EXTENDED_KEY: Final = 1 << 29
 """Mark in the key of a message: its identifier is one of 29 bits."""
+_WORD: Final = 4  # letters, from which on a word is looked for in names
 
 
 class SignalLayout(NamedTuple):
@@ -48,10 +49,19 @@ class MessageLayout(NamedTuple):
     senders: tuple[str, ...]
     signals: tuple[SignalLayout, ...]
     plain: bool
+    comment: str = ""
 
     def is_called(self, name: str) -> bool:
         """Return true where that is its name (with * and ?) or its identifier (520 or 0x520)."""
         return fnmatchcase(self.name.lower(), name.lower()) or name.lower().removeprefix("0x") == f"{self.can_id:x}"
+
+    def has_in_name(self, word: str) -> bool:
+        """Return true where the word, or its beginning, is in the name: steer and steering are in VCU2AI_Steer."""
+        sought = word.casefold()
+        if len(sought) < _WORD or "_" in sought:
+            return False
+        parts = self.name.casefold().split("_")
+        return any(sought in part or (len(part) >= _WORD and sought.startswith(part)) for part in parts)
 
     def signals_like(self, patterns: Sequence[str]) -> tuple[SignalLayout, ...]:
         """The signals that NAME or MESSAGE.NAME means (with * and ?), in any case; NAME_Nm of 2026 is NAME too."""

@@ -9,6 +9,7 @@ from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Machine, Wanted
 from fsai_vcu.diagnostics.finding import Finding
 from fsai_vcu.runtime.transport import DISTRIBUTIONS, DOMAIN_MAX
 
+FOR_THE_CAR = "for the car"  # what a laptop lacks to be the car's computer
 _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 _IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
@@ -27,10 +28,6 @@ def examine(machine: Machine) -> tuple[Finding, ...]:
 
 
 # ---------------------------------------------------------------- on a laptop
-
-
-def place(machine: Machine) -> Iterator[Finding]:
-    yield _note("machine", "a laptop: the car's software is not installed (on the car PC: make install, docs/car.md)")
 
 
 def vcan(machine: Machine) -> Iterator[Finding]:
@@ -70,6 +67,18 @@ def real_time(machine: Machine) -> Iterator[Finding]:
         words = f"{machine.user}'s programs may not be real-time: the CAN loop runs without, later under load"
         todo = f"two lines in /etc/security/limits.d/fsai.conf: {limits}; then log in again"
         yield Finding("note", "scheduling", words, todo)
+
+
+def to_drive_the_car(machine: Machine) -> Iterator[Finding]:
+    """Yield what this computer lacks to be the car's; with the car's software, the checks below say the rest."""
+    words = (
+        "no car software, and with it no configuration (/etc/fsai/fsai.toml), services, real-time priority, group fsai"
+    )
+    yield Finding(
+        "note", FOR_THE_CAR, words, "sudo make install in the checkout (docs/car.md), then fsai-vcu doctor again"
+    )
+    if not machine.interfaces:
+        yield Finding("note", FOR_THE_CAR, "no CAN adapter", "docs/connect.md says which to buy, and how to connect it")
 
 
 # ---------------------------------------------------------------- on the car PC
@@ -428,13 +437,13 @@ CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
     system,
 )
 LAPTOP_CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
-    place,
     vcan,
     ros,
     domain,
     shared_memory,
     real_time,
     system,
+    to_drive_the_car,
 )
 
 

@@ -70,6 +70,7 @@ def laptop(bus: str | None = None, seconds: float = 2.0, proc: Path = Path("/pro
     up = [name for name in vcans if int(_read(_NET / name / "flags") or "0", 16) & 1]
     return Machine(
         car_pc=False,
+        interfaces=tuple(name for name in vcans if (_NET / name / "device").exists()),  # an adapter, no virtual one
         vcan=up[0] if up else "",
         kernel_has_vcan=bool(up) or kernel_has("vcan"),
         bus=None if bus is None else listen(bus, Codec(list(REVISIONS.values())[-1]), seconds),

@@ -68,14 +68,16 @@ FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less 
 AT_FIRST_NS: Final = 20 * MS  # a fault bit that rises later than the state did not bring it about
 STOOD_NS: Final = COMMS_LOST_NS - 20 * MS  # a HANDSHAKE that stands for so long is no answer that is late
 NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
+BRAKING: Final = f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for the rest of the run"
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 
 
 def emergencies(record: Record) -> Iterator[Incident]:
     """Every entry into EMERGENCY_BRAKE, and drives that ended in no regular state."""
+    braked = {drive.end_ns: t_ns for drive, t_ns in service_brakes(record)}
     for span in record.series(sig.AS_STATE).spans:
         if span.value == sig.EMERGENCY:
-            yield _emergency(record, span)
+            yield _emergency(record, span, braked.get(span.begin_ns))
         elif span.before == sig.DRIVING and span.value != sig.FINISHED:
             yield _cut_off(record, span)
     yield from _lost_car(record)
@@ -84,8 +86,8 @@ def emergencies(record: Record) -> Iterator[Incident]:
 # ---------------------------------------------------------------- one emergency brake
 
 
-def _emergency(record: Record, span: Span) -> Incident:
-    """Return the incident of an entry into EMERGENCY_BRAKE, with its causes."""
+def _emergency(record: Record, span: Span, braked_ns: int | None) -> Incident:
+    """Return the incident of an entry into EMERGENCY_BRAKE, with its causes; the service brake came at `braked_ns`."""
     t_ns = span.begin_ns
     before = None if span.before is None or span.before > sig.FINISHED else AsState(int(span.before)).label
     names = [signal.name for signal in sig.FAULTS if record.at(signal, t_ns)]
@@ -95,7 +97,10 @@ def _emergency(record: Record, span: Span) -> Incident:
     end = sig.AS_STATE.step(t_ns, f"AS_STATE {came}{'; ' if names else ''}{', '.join(names)}")
     chains = ranked(_emergency_causes(record, span))
     what = f"EMERGENCY_BRAKE{f' in {before}' if before else ''}"
-    ended = tuple(candidate(one.slug, one.sureness, *_marks(record, one), *one.steps, end) for one in chains)
+    ended = tuple(
+        candidate(one.slug, one.sureness, *_marks(record, one), *_graded(one, braked_ns), *one.steps, end)
+        for one in chains
+    )
     return Incident(IncidentKind.EMERGENCY, t_ns, what, ended, planned=chains[0].slug == "planned_end", lasted=span[:2])
 
 
@@ -133,6 +138,16 @@ def _marks(record: Record, one: Candidate) -> list[ChainLink]:
         for change in record.changes(signal, one.t_ns, one.t_ns + BEHIND_NS)
         if change.value
     ][:2]
+
+
+def _graded(one: Candidate, braked_ns: int | None) -> list[ChainLink]:
+    """Return the link for a request for an emergency brake before which the service brake was tried."""
+    asked = any(step.signal == sig.ESTOP.name and braked_ns is not None and step.t_ns > braked_ns for step in one.steps)
+    return [_braking(braked_ns)] if asked and braked_ns is not None else []
+
+
+def _braking(t_ns: int) -> ChainLink:
+    return sig.BRAKE_REQ_F.step(t_ns, BRAKING)
 
 
 def _reported(record: Record, span: Span) -> dict[str, Sureness]:
@@ -473,14 +488,11 @@ def _lost_car(record: Record) -> Iterator[Incident]:
 
 def early_stops(record: Record) -> Iterator[Incident]:
     """Every drive that was ended early by the AI computer's service brake, or in which the car never drove."""
-    brake = record.series(sig.BRAKE_REQ_F)
-    driven = np.flatnonzero(record.series(sig.SPEED_MAX_R).sampled(brake.t_ns))
-    for span in record.series(sig.AS_STATE).spans.of(sig.DRIVING):
+    for span, began_ns in service_brakes(record):
         if span.after == sig.EMERGENCY:
             yield from stands(record, span)
             continue
-        began_ns = _service_brake(brake, driven, span.begin_ns, span.end_ns)
-        if began_ns is None or record.at(sig.ESTOP, began_ns):
+        if began_ns is None:
             yield from _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
@@ -539,6 +551,15 @@ def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
     return [shown(Reason.SEQUENCE_SHORT.slug, step)]
 
 
+def service_brakes(record: Record) -> Iterator[tuple[Span, int | None]]:
+    """Yield every drive with the time at which the AI computer's service brake began to end it, if it did."""
+    brake = record.series(sig.BRAKE_REQ_F)
+    driven = np.flatnonzero(record.series(sig.SPEED_MAX_R).sampled(brake.t_ns))
+    for span in record.series(sig.AS_STATE).spans.of(sig.DRIVING):
+        began_ns = _service_brake(brake, driven, span.begin_ns, span.end_ns)
+        yield span, None if began_ns is None or record.at(sig.ESTOP, began_ns) else began_ns
+
+
 def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> int | None:
     """Return when the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on.
 
@@ -555,9 +576,7 @@ def _service_brake(brake: Series, driven: Ints, begin_ns: int, end_ns: int) -> i
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
     """Return the incident of a drive that the AI computer's service brake ended, with its causes."""
-    brake = sig.BRAKE_REQ_F.step(
-        t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for the rest of the run"
-    )
+    brake = _braking(t_ns)
     before = found_before(record, t_ns, drive_begin_ns, emergency=False)
     candidates = [candidate(one.slug, one.sureness, *one.steps, brake) for one in before]
     held_ns = _held_before(record, t_ns)

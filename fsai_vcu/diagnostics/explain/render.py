@@ -63,7 +63,7 @@ def text_lines(story: Explanation, name: str, *, timeline: bool = False, colour:
     if timeline:
         yield f"{seconds(story, story.end_ns):9.3f} s  {'':<9} {story.closing}"
     else:
-        yield f"{story.closing} (--timeline: what happened until then, {len(story.events)} lines, and the notes)"
+        yield story.closing
     for incident in story.incidents:
         yield ""
         yield from _incident_lines(story, incident, paint, more=timeline)

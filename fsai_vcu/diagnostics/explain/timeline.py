@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.endings import BRAKING, service_brakes
 from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, error_text, silence_words
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.explain.record import GONE_NS, Gap, Record, Series
@@ -77,7 +78,8 @@ SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
 def timeline(record: Record) -> list[TimelineEntry]:
     """Every event of the log in the order of time."""
     chapters = (
-        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _link, _bus,
+        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _service_brakes, _link,
+        _bus,
     )  # fmt: skip
     events = sorted((event for chapter in chapters for event in chapter(record)), key=_order)
     return sorted(_to_and_fro(events, record.begin_ns), key=_order)
@@ -212,6 +214,12 @@ def _first_requests(record: Record) -> Iterator[TimelineEntry]:
             found += [(t_ns, sig.BRAKE_REQ_F, "the brake is released") for t_ns in released]
         for t_ns, signal, words in found:
             yield _entry(signal, t_ns, "gate", f"{words}, {ms(t_ns - span.begin_ns)} after AS_DRIVING began")
+
+
+def _service_brakes(record: Record) -> Iterator[TimelineEntry]:
+    for _, t_ns in service_brakes(record):
+        if t_ns is not None:
+            yield _entry(sig.BRAKE_REQ_F, t_ns, "gate", BRAKING, STATE)
 
 
 def _early_torque(record: Record) -> Iterator[TimelineEntry]:

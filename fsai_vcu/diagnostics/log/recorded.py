@@ -86,7 +86,7 @@ def lost_words(frames: int) -> str:
 def recorded(log: Path) -> Recorded:
     """Return what the file beside `log` says; nothing where there is none, or one that is not a recorder's."""
     try:
-        about = json.loads(read_found(_beside(log), SETTINGS_BYTES))
+        about = json.loads(read_found(beside(log, ".json"), SETTINGS_BYTES))
     except (OSError, ValueError, RecursionError):
         return Recorded()
     if not isinstance(about, dict):
@@ -103,7 +103,7 @@ def note_stalls(folder: Path, stalls_ns: Iterable[tuple[int, int]]) -> None:
     """
     new = list(stalls_ns)
     for log in folder.glob("*.log"):
-        with suppress(OSError, ValueError, RecursionError), open_found(_beside(log), write=True) as file:
+        with suppress(OSError, ValueError, RecursionError), open_found(beside(log, ".json"), write=True) as file:
             about = json.loads(file.read(SETTINGS_BYTES))
             if isinstance(about, dict) and LOST_HERE in about:
                 noted = sorted({*_stalls(about.get(STOOD_STILL)), *new})[-_MOST_STALLS:]
@@ -113,8 +113,9 @@ def note_stalls(folder: Path, stalls_ns: Iterable[tuple[int, int]]) -> None:
                 file.truncate()
 
 
-def _beside(log: Path) -> Path:
-    return Path(str(log).removesuffix(".gz")).with_suffix(".json")
+def beside(log: Path, ending: str) -> Path:
+    """Return the place beside a log, packed or not, of a file with its name and another ending."""
+    return Path(str(log).removesuffix(".gz")).with_suffix(ending)
 
 
 def _is_count(value: Any) -> TypeGuard[int]:

@@ -30,6 +30,7 @@ _VCU: Final = "VCU"  # the node's name in the interface's databases
 _FLOAT32_MAX: Final = 3.4028234663852886e38
 _ROUNDING: Final = 1e-9  # physical values are products of a raw integer and a decimal scale
 _NUMBER = re.compile(r"[+-]?0[xX][0-9A-Fa-f]+")
+_FORM: Final = "send takes BUS MESSAGE SIGNAL=VALUE, and fsai-vcu dbc show lists messages with their signals"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +83,17 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
     if exact is not None:
         return exact
     layouts = list(databases.layouts.values())
-    number = int(words, 16) if _NUMBER.fullmatch(words) else None
-    matching = [each for each in layouts if each.can_id == number or each.name.casefold() == words.casefold()]
-    if "#" in words:
-        raise WrongUse(f"'{words}' is a raw frame, for cansend; here: MESSAGE SIGNAL=VALUE")
+    name, raw, _ = words.partition("#")
+    name = f"0x{name}" if raw else name  # as cansend writes it
+    number = int(name, 16) if _NUMBER.fullmatch(name) else None
+    matching = [each for each in layouts if each.can_id == number or each.name.casefold() == name.casefold()]
+    if raw:
+        named = (f"{each.name} {' '.join(f'{signal.name}=…' for signal in each.signals)}".strip() for each in matching)
+        raise WrongUse(f"'{words}' is a raw frame, for cansend; here: {next(named, _FORM)}")
     if not matching and number is not None:
-        raise UserError(f"no message has the identifier {words}")
+        raise UserError(f"no message has the identifier {words}; {_FORM}")
     if not matching:
-        raise UserError(f"no message '{words}'{did_you_mean(words, (layout.name for layout in layouts))}")
+        raise UserError(f"no message '{words}'{did_you_mean(words, (one.name for one in layouts)) or f'; {_FORM}'}")
     if len(matching) > 1:
         raise UserError(f"'{words}' may be {' or '.join(layout.name for layout in matching)}")
     return matching[0]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.campaign.cases import case_from_spec
+from fsai_hil.evidence.campaign.cases import CHANCE, Case, case_from_spec
 from fsai_hil.evidence.campaign.explain import ScenarioNarrator
 from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
 from fsai_hil.evidence.campaign.table import catalogue_lines
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fault",
         metavar="NAME[:PARAMETER=VALUE,…]",
         help="break something on the way, and explain what follows; since=start|ready|driving|finished and after=MS"
-        " say when, what is not given is drawn by --seed",
+        " say when, chance=N draws what the fault does at random; what is not given is drawn by --seed",
     )
     add("--full", action="store_true", help="with --fault: drive to the end of the mission")
     add("--list-faults", nargs="?", const="", metavar="WORD", help="list the kinds of fault, or those with that word")
@@ -162,8 +162,18 @@ def _drive_with_fault(args: argparse.Namespace, views: Views | None) -> Driven:
     verdict = scenario.verdict()
     where = f"{case.mission.name.lower()}, revision {case.revision}, seed {case.seed}"
     judged = "as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW"
-    lines = [f"{where}; repeat this run:\n  {case.replay}\n", *narrator.lines(verdict), judged]
+    lines = [f"{where}; repeat this run:\n  {_repeated(case, args)}\n", *narrator.lines(verdict), judged]
     return verdict.ok, rig.world.runs[-1], as_record(case, verdict, {}), lines
+
+
+def _repeated(case: Case, args: argparse.Namespace) -> str:
+    """The command that drives this case again, and saves what was asked for."""
+    if f"{CHANCE.name}=" not in args.fault:  # then the seed gives it
+        case = replace(case, params={name: value for name, value in case.params.items() if name != CHANCE.name})
+    asked: dict[str, Any] = {"--plot": args.plot, "--animate": args.animate, "--log": args.log}
+    if args.animate:
+        asked["--animate-speed"] = f"{args.animate_speed:g}"
+    return " ".join((case.replay, *(f"{name} {shlex.quote(str(each))}" for name, each in asked.items() if each)))
 
 
 class DriveProgress:
