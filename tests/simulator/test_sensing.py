@@ -101,3 +101,15 @@ def test_a_sensor_without_colours_sees_the_same_cones_unknown() -> None:
     track = load_track("small_oval")
     coloured, colourless = (ConeSensor(track, SensorSettings(colours=on), 3).see(Pose(), 0) for on in (True, False))
     assert np.array_equal(coloured.xy_m, colourless.xy_m) and coloured.color.any() and not colourless.color.any()
+
+
+def test_a_mistaken_cone_has_the_other_colour_in_every_look() -> None:
+    sensor = ConeSensor(
+        field_of(*((5.0, 0.01 * one, ConeColor.BLUE) for one in range(200))),
+        SensorSettings(
+            mistaken=0.1, miss_near=0.0, miss_far=0.0, unknown_far=0.0, confused_far=0.0, false_per_scan=0.0
+        ),
+    )
+    first, second = (sensor.see(Pose(), look).color for look in range(2))
+    assert (first == second).all()
+    assert 5 < np.count_nonzero(first == ConeColor.YELLOW) < 40

@@ -4,7 +4,8 @@ The car is carried once round a closed track at 5 m/s and looks every half metre
 planner remembers cones between looks, as on the car. A look fails if there is no path or one shorter than 5 m, or if
 the path's first 10 m bring the 1.43 m wide car onto the line of cones. The error is the distance of those 10 m from the
 middle, for a car without a nose (for the car's own sweep the planner moves the path inward in bends). A car beside the
-middle begins its path there, so its first 3 m do not count.
+middle begins its path there, so its first 3 m do not count. A planner that is lost is counted and begins again there, as
+in a car that has stopped.
 
 A track is built in, generated, or a file, with its middle in NAME_midline.csv beside it, if there is one.
 Times are processor time of the planner's call.
@@ -41,7 +42,7 @@ SEEN_ALONE = 2  # times that a look without others is taken in: a cone seen once
 SEEN_BEFORE = 4  # looks from the start before the first is judged
 # The last two have lanes beside each other, and hairpins between them.
 TRACKS = ("small_oval", "autocross", "trackdrive", "random-2", "generated-1-tight", "generated-1-islands")
-HEADS = ("condition", "looks", "mean m", "max m", "failed %", "p50 ms", "p99 ms")
+HEADS = ("condition", "looks", "mean m", "max m", "failed %", "lost", "p50 ms", "p99 ms")
 
 Placed = tuple[Floats, Ints]
 """(N, 2) places, and colours."""
@@ -119,6 +120,7 @@ class LaneFigures(NamedTuple):
     failed_at_m: tuple[float, ...]  # along the middle
     error_m: float  # mean of all looks
     error_max_m: float
+    lost: int  # times
     took_ms: tuple[float, ...]  # processor time of each call of the planner
 
 
@@ -166,7 +168,7 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
     errors: list[Floats] = []
     took_ms: list[float] = []
     failed_at_m: list[float] = []
-    looks = 0
+    looks = lost = 0
     for index, motion in enumerate(motions(line, condition)):
         here = to_vehicle(motion, cones)
         ahead, aside = here.T
@@ -174,12 +176,14 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
         xy, color = condition.seen(here[seen], colors[seen], draw)
         look = ConeObservation(motion.t_ns, xy, color, np.ones(len(xy)))
         if condition.alone:
-            planner.reset(RUN)
-            for _ in range(SEEN_ALONE - 1):
-                planner.on_cones(look, motion)
+            begin_again(planner, look, motion)
         began_s = time.thread_time()
         plan = planner.on_cones(look, motion)
         took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))
+        if plan is not None and plan.lost:
+            lost += 1
+            begin_again(planner, look, motion)
+            plan = planner.on_cones(look, motion)
         if index < SEEN_BEFORE or index % 2:
             continue
         looks += 1
@@ -196,7 +200,14 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
             failed_at_m.append(index * STEP_M)
     mean_m = float(np.mean([error_m.mean() for error_m in errors])) if errors else math.nan
     most_m = max((float(error_m.max()) for error_m in errors), default=math.nan)
-    return LaneFigures(name, condition.name, looks, tuple(failed_at_m), mean_m, most_m, tuple(took_ms))
+    return LaneFigures(name, condition.name, looks, tuple(failed_at_m), mean_m, most_m, lost, tuple(took_ms))
+
+
+def begin_again(planner: Planner, look: ConeObservation, motion: Motion) -> None:
+    """Let the planner forget all, and take this look in so often that the next one has a lane."""
+    planner.reset(RUN)
+    for _ in range(SEEN_ALONE - 1):
+        planner.on_cones(look, motion)
 
 
 def _distances(points: Floats, line: Floats) -> Floats:
@@ -231,8 +242,9 @@ def table_of(rows: Sequence[LaneFigures]) -> str:
         mean_m, most_m = sum(row.error_m * row.looks for row in mine) / looks, max(row.error_max_m for row in mine)
         failed = 100.0 * sum(len(row.failed_at_m) for row in mine) / looks
         times = np.percentile([took for row in mine for took in row.took_ms], (50, 99))
-        figures = (f"{figure:.2f}" for figure in (most_m, failed, *times))
-        lines.append((name, str(looks), f"{mean_m:.4f}", *figures))
+        lost = str(sum(row.lost for row in mine))
+        p50_ms, p99_ms = (f"{time_ms:.2f}" for time_ms in times)
+        lines.append((name, str(looks), f"{mean_m:.4f}", f"{most_m:.2f}", f"{failed:.2f}", lost, p50_ms, p99_ms))
     failures = [
         f"- {row.track}, {row.condition}: {len(row.failed_at_m)} of {row.looks} failed, "
         f"at {', '.join(f'{at:.0f}' for at in row.failed_at_m[:8])} m"

@@ -35,6 +35,7 @@ class SensorSettings(Value, frozen=True):
     miss_far: float = 0.10  # … and at the end of the range
     unknown_far: float = 0.25  # share without colour at the end of the range
     confused_far: float = 0.02  # share with a wrong colour at the end of the range
+    mistaken: float = 0.0  # share of cones that have the other border's colour in every look
     false_per_scan: float = 0.10  # detections of nothing, on average
     colours: bool = True  # False: every cone is of UNKNOWN colour
 
@@ -51,7 +52,11 @@ class ConeSensor:
     def __init__(self, track: Track, settings: SensorSettings | None = None, seed: int = 0) -> None:
         self.settings = settings if settings is not None else SensorSettings()
         self._xy = track.cones_xy_m
-        self._colors = track.cone_colors
+        self._colors = colors = track.cone_colors
+        if (share := self.settings.noise_level * self.settings.mistaken) > 0.0:
+            mistaken = np.random.default_rng((seed, len(colors))).random(len(colors)) < share
+            mistaken &= (colors == ConeColor.BLUE) | (colors == ConeColor.YELLOW)
+            self._colors = np.where(mistaken, ConeColor.BLUE + ConeColor.YELLOW - colors, colors)
         self._random = np.random.default_rng(seed)
 
     def see(self, pose: Pose, t_ns: int) -> ConeObservation:
