@@ -4,8 +4,8 @@ The car is carried once round a closed track at 5 m/s and looks every half metre
 planner remembers cones between looks, as on the car. A look fails if there is no path or one shorter than 5 m, or if
 the path's first 10 m bring the 1.43 m wide car onto the line of cones. The error is the distance of those 10 m from the
 middle, for a car without a nose (for the car's own sweep the planner moves the path inward in bends). A car beside the
-middle begins its path there, so its first 3 m do not count. A planner that is lost is counted and begins again there, as
-in a car that has stopped.
+middle begins its path there, so its first 3 m do not count. A planner that is lost is counted, and begins again there
+like one of a car that has stopped.
 
 A track is built in, generated, or a file, with its middle in NAME_midline.csv beside it, if there is one.
 Times are processor time of the planner's call.
