@@ -104,8 +104,8 @@ bench-check: setup-for-tests  ## bench; fails where a ratio fell below docs/evid
 bench-planning: setup  ## how well and how fast the lane is found, with cones missing, swapped, invented or without colours
 	$(BIN)/python -m fsai_hil.bench planning
 
-planning: setup  ## the same on 50 generated circuits, into docs; TRACKS="FILE.csv …": more; 15 minutes
-	$(BIN)/python -m fsai_hil.bench planning -o docs/evidence/planning.md $(TRACKS) $$(seq -f generated-%.0f 50)
+planning: setup  ## the same on 70 generated circuits, into docs; TRACKS="FILE.csv …": more; 15 minutes
+	$(BIN)/python -m fsai_hil.bench planning -o docs/evidence/planning.md $(TRACKS) $$(seq -f generated-%.0f 50) $$(seq -f generated-%.0f-islands 20)
 
 bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
 	$(BIN)/python -m fsai_hil.bench control
