@@ -10,11 +10,14 @@ from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.endings import (
     ANY,
+    LOST_FEEDBACK,
     NOTHING,
     ODD,
+    ROUGH,
     SLACK_MS,
     STOP,
     UNBELIEVED,
+    WITHIN_LIMIT,
     End,
     Graded,
     Params,
@@ -23,12 +26,9 @@ from fsai_hil.evidence.campaign.endings import (
 )
 from fsai_hil.evidence.campaign.faults.kind import (
     FEEDBACK_BANDS,
-    LOST_FEEDBACK,
     ROAD_MISSIONS,
-    ROUGH,
     UPSET,
     WHEELS,
-    WITHIN_LIMIT,
     At,
     Draw,
     Entry,
@@ -175,7 +175,7 @@ def derated(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     fault.put(rig.world.vcu.switches, p["limit"], p["value"])
 
 
-# ---------------------------------------------------------------- its endings and draws
+# ---------------------------------------------------------------- endings and draws
 
 ITSELF = ends(End.SELF, safe_ms=2 * SLACK_MS)
 INEFFECTIVE = ends(
@@ -185,8 +185,6 @@ INEFFECTIVE = ends(
 NO_BRAKE = replace(INEFFECTIVE, safe_ms=500 + 10 + 2 * SLACK_MS + 10, note="no deceleration for 0.5 s")
 EACH_WHEEL = Draw("wheel", *WHEELS)
 
-
-# ---------------------------------------------------------------- the rows
 
 ROWS: Final[tuple[FaultKind, ...]] = (
     # ---------------------------------------------------------------- sensors

@@ -11,13 +11,11 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from fsai_hil.evidence.campaign.endings import PAUSE, SLACK_MS, STOP, End, Graded, Params, ends, estop
+from fsai_hil.evidence.campaign.endings import PAUSE, ROUGH, SILENT, SLACK_MS, STOP, End, Graded, Params, ends, estop
 from fsai_hil.evidence.campaign.faults.kind import (
     CONTROL_MS,
     EVERY_MISSION,
     PATH_MISSIONS,
-    ROUGH,
-    SILENT,
     UPSET,
     At,
     Draw,
@@ -208,12 +206,7 @@ def busy_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     fault.put(rig.computer, "takes_frame", lambda frame: rng.random() >= float(p["share"]))
 
 
-def lost_bus(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
-    """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
-    rig.computer.lose_bus(p["why"], now_ns, now_ns + p["gone"] * MS)
-
-
-# ---------------------------------------------------------------- its endings and draws
+# ---------------------------------------------------------------- endings and draws
 
 SILENT_OURS = replace(SILENT, note="it never drives on by itself")
 RESTARTED = ends(End.STOP, note="it never drives on by itself")
@@ -226,8 +219,6 @@ OLD_DATA = Graded(((600, OLD_STOPS),))
 BUS_LOST = "commands are dropped, and the bus is opened again with growing pauses"
 SWINGS = Draw("period", (50, 500))
 
-
-# ---------------------------------------------------------------- the rows
 
 ROWS: Final[tuple[FaultKind, ...]] = (
     # ---------------------------------------------------------------- planner, controller, detector
@@ -425,7 +416,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     *(
         Entry(name, what).by(
-            lost_bus,
+            lambda fault, rig, p, t_ns: rig.computer.lose_bus(p["why"], t_ns, t_ns + p["gone"] * MS),
             Graded(((0, ends(End.STOP, End.SELF, note=BUS_LOST)), (100, SILENT_OURS)), "gone"),
             Draw("gone", (1, 45), (130, 3000)),
             Draw("why", why),

@@ -15,8 +15,7 @@ from contextlib import ExitStack
 from functools import partial, reduce
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.endings import IN_TIME_MS, STOP, End, Graded, Must, Params, ends, estop
-from fsai_hil.rules import numbers as n
+from fsai_hil.evidence.campaign.endings import Graded, Must, Params
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.units import MS
@@ -168,11 +167,5 @@ def late(value: object, first: object, at: At) -> Any:
     return at.kept.get("due", first)
 
 
-# ---------------------------------------------------------------- endings and draws that faults of several parts share
-
-ROUGH = ends(End.ON, End.HELD, End.STOP, End.ESTOP, note="every limit and interlock holds")
-WITHIN_LIMIT = ends(End.ON, End.HELD, note="never above the live limit")
-SILENT = ends(End.SELF, safe_ms=IN_TIME_MS)
-LOST_FEEDBACK = Graded(((100, STOP), (300, estop(n.FEEDBACK_LOST_NS // MS))))
-FEEDBACK_BANDS = ((10, 60), (130, 240), (360, 2500))
-UPSET = lasts((100, 4000))
+FEEDBACK_BANDS: Final = ((10, 60), (130, 240), (360, 2500))
+UPSET: Final = lasts((100, 4000))

@@ -16,12 +16,15 @@ from msgspec.structs import replace
 from fsai_hil.evidence.campaign.endings import (
     ANY,
     CAR_STOPS,
+    LOST_FEEDBACK,
     MAY_STOP_ITSELF,
     NOTHING,
     ODD,
     PAUSE,
+    SILENT,
     STOP,
     UNBELIEVED,
+    WITHIN_LIMIT,
     End,
     Graded,
     Must,
@@ -32,10 +35,7 @@ from fsai_hil.evidence.campaign.endings import (
 from fsai_hil.evidence.campaign.faults.kind import (
     EVERY_MISSION,
     FEEDBACK_BANDS,
-    LOST_FEEDBACK,
-    SILENT,
     WHEELS,
-    WITHIN_LIMIT,
     Bands,
     Draw,
     Entry,
@@ -211,7 +211,7 @@ def hasty_go(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     fault.ticks.append(tick)
 
 
-# ---------------------------------------------------------------- its endings and draws
+# ---------------------------------------------------------------- endings and draws
 
 MAY_MEET = ends(End.ON, End.SELF, note="torque and brake may meet at the car")
 NO_DRIVE = ends(End.STOP, note="no torque ever")
@@ -294,8 +294,6 @@ _incoming = partial(
 )
 _incoming_torque = partial(_incoming, lost=AI_SILENT_TORQUE)
 
-
-# ---------------------------------------------------------------- the rows
 
 ROWS: Final[tuple[FaultKind, ...]] = (
     # ---------------------------------------------------------------- what the car sends
