@@ -205,9 +205,7 @@ class BusView:
             s.steer_ns = s.steer_ns and now_ns
             s.complete_ns = s.complete_ns and now_ns
             s.steer_odd_ns = s.wheel_odd_ns = None
-            # A 0x520 that brings AS_DRIVING shows its rows again, and the others count from then.
-            shown = zip(SHOWN, self.shown_ns, strict=True)
-            self.shown_ns = [None if row.message is VcuStatus else t_ns and now_ns for row, t_ns in shown]
+            self.shown_ns = [None] * len(SHOWN)
         if s.command_ns is not None and s.driving_ns is not None and not data_may_be_lost and age_ns < n.CYCLE_NS:
             s.driving_ns = max(s.driving_ns, now_ns - n.LAUNCH_NS)  # how long it has waited for commands is no matter
         if s.back_ns is not None and not s.reopening:
@@ -319,7 +317,7 @@ class BusView:
             if state is AsState.AS_DRIVING:
                 s.driving_ns = None if unjudged else t_ns
                 s.stopped, s.alarm = None, None
-                self.shown_ns = [shown_ns and t_ns for shown_ns in self.shown_ns]
+                self.shown_ns = [None] * len(SHOWN)
         if state is not AsState.AS_DRIVING:
             if s.alarm is not None and (s.bus_gone or s.reopening):
                 s.latched = True  # what a lost bus did not carry is asked for when it is back
