@@ -12,7 +12,7 @@ import pytest
 from story_runs import Act, Run, driving, log_of, off, parked, ready
 
 from fsai_hil.evidence.campaign.catalogue import KINDS
-from fsai_hil.evidence.campaign.injections import Ongoing
+from fsai_hil.evidence.campaign.faults.kind import Ongoing
 from fsai_vcu.cli.status import _as_text
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.start_conditions import CONDITIONS, WORDS

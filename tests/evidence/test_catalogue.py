@@ -14,9 +14,10 @@ import pytest
 from msgspec.structs import replace
 
 from fsai_hil.evidence.campaign.cases import LEGS_MS, CampaignPlan, Since, case_from_spec, drawn
-from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
+from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
 from fsai_hil.evidence.campaign.endings import End
-from fsai_hil.evidence.campaign.injections import At, Ongoing, no_number
+from fsai_hil.evidence.campaign.faults.computer import no_number
+from fsai_hil.evidence.campaign.faults.kind import At, FaultKind, Ongoing
 from fsai_hil.simulator.faults import Delay, Drop, FaultyWire, FlipBits, Freeze, Repeat, WrongLength
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.interface.enums import Ami

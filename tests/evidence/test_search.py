@@ -316,8 +316,8 @@ def test_each_braking_reaction_has_a_seed_that_weakens_it(reason: Reason) -> Non
     """A reaction that no scope brings about is searched nowhere, and nobody sees it."""
     assert weakened(reason) is not (reason in NOT_SEEDED), (
         f"no seeded fault weakens the reaction to {reason.name}, so nothing shows that the search brings it about: in "
-        "hil/fsai_hil/evidence/, let environment.py (an event: EVENTS of searched.py) bring it about, and name it in "
-        "`reactions` of the scope of scopes.py where that is free; what is not just reported, seeded.py weakens. "
+        "hil/fsai_hil/evidence/scopes.py, let a choice or an event bring it about, and name it in `reactions` of the "
+        "scope where that is free; what is not just reported, seeded.py weakens. "
         "`python -m fsai_hil.evidence --only-seeded` must find it. If the search cannot bring it about, say why in "
         "NOT_SEEDED of tests/evidence/test_search.py"
     )

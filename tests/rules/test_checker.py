@@ -11,8 +11,10 @@ import pytest
 from msgspec.structs import replace
 
 from fsai_hil.evidence.small_car import SmallCar
+from fsai_hil.rules import bus_view, reactions
 from fsai_hil.rules.checker import RULES, WireChecker, check_candump
 from fsai_hil.rules.seen import Process
+from fsai_hil.rules.shown import Shown
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -670,6 +672,32 @@ def test_the_rule_is_kept_and_broken(rule: str, what: str, start: Make, keeps: E
 def test_commands_on_old_data_are_lost_after_300_ms(cycles: int, data_ms: int, broken: list[str]) -> None:
     sender = Fed().driving().cycle(drive(), 3).has(data_ms=data_ms)
     assert sender.cycle(RUNNING, cycles).rules == broken
+
+
+@pytest.mark.parametrize(
+    ("cycles", "then_says", "broken"),
+    [
+        (20, drive(), []),
+        (21, drive(), ["reactions"]),
+        (21, RUNNING, []),
+        (50, STOPPING, []),
+        (51, STOPPING, ["reactions"]),
+        (51, BRAKING, []),
+    ],
+)
+def test_what_a_message_shows_ends_the_run_in_its_time(
+    monkeypatch: pytest.MonkeyPatch, cycles: int, then_says: AiCommand, broken: list[str]
+) -> None:
+    """A row of `SHOWN` whose message is not 0x520, due after 200 ms and 500 ms."""
+    row = Shown(VcuSteer, "far left", lambda steer: steer.angle_deg > 20.0, 200 * MS, 500 * MS)
+    for module in (bus_view, reactions):
+        monkeypatch.setattr(module, "SHOWN", (row,))
+    sender = Fed().driving().has(angle_deg=25.0).cycle(drive(), 3).has(angle_deg=0.0).cycle(drive())
+    sender.has(angle_deg=25.0).cycle(drive(), min(cycles - 1, 20))
+    if cycles > 21:
+        sender.cycle(RUNNING).cycle(STOPPING, cycles - 22)
+    assert sender.rules == []
+    assert sender.cycle(then_says).rules == broken
 
 
 def test_a_log_with_an_as_state_that_flickers_shows_torque_in_it() -> None:

@@ -29,10 +29,9 @@ from typing import Any, Final, NamedTuple, cast
 from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import NOW, Abstraction, Clocks, edges_of
-from fsai_hil.evidence.environment import COMMANDS, NO_COMMAND, Choice, PlainCodec, Vcu, frames_of
-from fsai_hil.evidence.scopes import Scope
+from fsai_hil.evidence.scopes import COMMANDS, EVENTS, NO_COMMAND, RESTART, Choice, PlainCodec, Scope, Vcu, frames_of
 from fsai_hil.evidence.search import Move
-from fsai_hil.evidence.searched import EVENTS, RESTART, SearchedBridge
+from fsai_hil.evidence.searched import SearchedBridge
 from fsai_hil.rules.numbers import CAR_PATIENCE_NS, CYCLE_NS
 from fsai_hil.rules.seen import EDGES, Violation
 from fsai_hil.simulator.as_machine import Situation, taken, transition_table

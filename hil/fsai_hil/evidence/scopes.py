@@ -1,33 +1,245 @@
-"""The closed parts into which the search is split: who does what in each, and what their union covers.
+"""The environment of the searched bridge: what may happen in a cycle, and the closed parts into which that is split.
 
 Everything at once would be too much for a minute. Each scope gives some parties their whole freedom and lets the rest
 behave; a rule is searched wherever what it speaks of is free. All begin with both sides just switched on, so every
 state visited is one that the car can be brought into.
+
+What is new to happen is a field of `Choice`, which `frames_of` puts into the car's frames, a row of `COMMANDS`, `MARKS`
+or `EVENTS`, and free in a scope.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import Enum
+from functools import cache
 from itertools import combinations, product
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 from msgspec import field
 from msgspec.structs import replace
 
-from fsai_hil.evidence.environment import BOTH, BRAKE, CAR_MESSAGES, COMMANDS, MARKS, SPEEDS, STATUS, Choice
-from fsai_hil.evidence.searched import HAPPENINGS, RESTART, Setting
-from fsai_hil.rules.numbers import MS, S
+from fsai_hil.evidence.abstraction import NOW
+from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.small_car import WELL
+from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, MS, S
 from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
+from fsai_hil.simulator.watched_bridge import WatchedBridge
+from fsai_vcu.core.ages import Ages
 from fsai_vcu.core.bridge import official_simulator
+from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import CHANGES
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface import messages as m
+from fsai_vcu.interface.codec import Decoded
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.specification import EMERGENCY_TIMER_NS, READY_WAIT_NS
 from fsai_vcu.interface.values import Value
 
-# ---------------------------------------------------------------- choices
+STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
+CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
+BOTH: Final = frozenset(("planner", "controller"))
+
+# ---------------------------------------------------------------- what may be chosen
+
+
+def _command(*, data_age_ns: int = 0, run: int = 0, **fields: Any) -> VehicleCommand:
+    """A command as the searched controller sends it; its stamp and its run are counted from now and the run in hand."""
+    return VehicleCommand(-data_age_ns, run, **{"speed_limit_mps": 50.0} | fields)
+
+
+_LEFT = math.radians(20.0)
+_PEDAL: Final = {"steering_rad": _LEFT, "throttle": 0.123}  # no share of it is whole tenths of Nm
+COMMANDS: Final[Mapping[str, VehicleCommand]] = {
+    "drive": _command(**_PEDAL),
+    "drive right": _command(steering_rad=-_LEFT, throttle=1.0),
+    "coast": _command(),
+    "brake": _command(steering_rad=_LEFT, brake=0.4),
+    "both": _command(**_PEDAL, brake=0.4),
+    "finished": _command(**_PEDAL, mission_finished=True),
+    "estop": _command(**_PEDAL, estop_request=True),
+    "old": _command(**_PEDAL, data_age_ns=500 * MS - 1),
+    "too old": _command(**_PEDAL, data_age_ns=500 * MS),
+    "far too old": _command(**_PEDAL, data_age_ns=700 * MS),
+    "future": _command(**_PEDAL, data_age_ns=-21 * MS),
+    "other run": _command(**_PEDAL, run=-1),
+    "nan": _command(**_PEDAL | {"steering_rad": math.nan}),
+    "infinite": _command(**_PEDAL | {"throttle": math.inf}),
+    "beyond": _command(**_PEDAL | {"throttle": 1.5}),
+    "negative": _command(**_PEDAL, brake=-0.1),
+    "beyond steering": _command(**_PEDAL | {"steering_rad": math.radians(31.0)}),
+}
+NO_COMMAND: Final = "none"
+
+
+class Choice(Value, frozen=True):
+    """The environment's part of one cycle. The defaults: a car that is well and at rest, a planner that drives."""
+
+    command: str = "drive"
+    lost: frozenset[str] = frozenset()  # messages of the car that do not come
+    unreadable: bool = False  # 0x520 comes, but its AS_STATE is none
+    marks: frozenset[str] = frozenset()  # of MARKS: what 0x520 shows besides, FAULT_STATUS stays 0
+    counting: bool = False  # a wheel turns by the pulse counts
+    rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
+    go: bool = False
+    asms: bool = True
+    tsms: bool = True
+    sdc_open: bool = False
+    ami: Ami = Ami.TRACKDRIVE
+    car_off: bool = False
+    says: AsState | None = None  # whatever the VCU's state machine thinks
+    fault: bool = False
+    angle_max_deg: float = 30.0
+    torque_max_nm: float = 195.0
+    confirm: frozenset[str] = BOTH  # who says that he has reset himself
+    confirm_other: frozenset[str] = frozenset()  # who says so of another run
+    frames: int = 5  # how many of the cycle's five frames go out
+    event: str | None = None  # what is asked of the process, or happens to it
+    steer_odd: bool = False
+    wheel_odd: bool = False
+
+    @property
+    def words(self) -> str:
+        """Name what is out of the ordinary in it, by the names above."""
+        given = zip(self.__struct_fields__, self.__struct_defaults__, strict=True)
+        chosen = {name: value for name, default in given if (value := getattr(self, name)) != default}
+        return "; ".join(f"{name} {_plain(value)}" for name, value in chosen.items()) or "nothing out of the ordinary"
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, frozenset):
+        return ", ".join(sorted(value)) or "nobody"
+    return "/".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+# ---------------------------------------------------------------- what happens to the process
+
+EVENTS: Final[Mapping[str, Callable[[WatchedBridge, int], object]]] = {
+    "an intruder sends 0x511": lambda b, now: (b.on_frame(Frame(0x511, bytes(4), now)), b.checker.on_intruder("0x511")),
+    "the loop misses its deadline": lambda b, now: b.loop_fault("a deadline was missed by 50 ms", now),
+    "the bus is lost": lambda b, now: b.bus_lost("the interface is gone", now),
+    "the bus is back": lambda b, now: b.bus_back(now),
+    "the software is stopped": lambda b, now: b.begin_stop(now),
+    "frames waited for 20 ms": lambda b, now: b.backlog(BACKLOG_NS, now),
+    "manual asked for": lambda b, now: b.set_mode("manual", now),
+    "autonomous asked for": lambda b, now: b.set_mode("autonomous", now),
+    "sideways asked for": lambda b, now: b.set_mode("sideways", now),  # which is no mode
+    "emergency brake asked for": lambda b, now: b.emergency_brake("somebody asked for it", now),
+    "reset asked for": lambda b, now: b.reset(now),
+}
+"""The events of a cycle that the process sees, by the name in `Choice.event`."""
+HAPPENINGS: Final = tuple(event for event in EVENTS if not event.endswith("asked for"))
+RESTART: Final = "restart"  # an event too: another process takes the bridge's place
+
+
+# ---------------------------------------------------------------- the car
+
+
+class Vcu(Value, frozen=True):
+    """The memory of the other end: the AS state, what it received last, and the handshake."""
+
+    state: AsState
+    since_ns: Annotated[int, Ages(READY_WAIT_NS, EMERGENCY_TIMER_NS)] = NOW
+    received: bool = False
+    go_before: bool = True
+    needs_power_cycle: bool = False
+    estop: bool = False
+    status: MissionStatus = MissionStatus.NOT_SELECTED
+    direction: Direction = Direction.NEUTRAL
+    front: bool = False
+    rear: bool = False
+    steer: bool = False
+    brake: bool = False
+    ai_ns: Annotated[int | None, Ages(CAR_PATIENCE_NS)] = None  # the last complete cycle
+    echo_ns: Annotated[int | None, Ages(CAR_PATIENCE_NS)] = None  # since when the echo is awaited
+    bit: bool = False
+
+
+_WELL_STATUS: Final = replace(WELL, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
+MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "AS_SWITCH_STATUS falls": {"as_switch": False},
+    "TS_SWITCH_STATUS falls": {"ts_switch": False},
+    "SHUTDOWN_REQUEST rises": {"shutdown_request": True},
+    **{f"fault bit {name} rises": {name: True} for name in ("bms", "ebs")},
+    "SHUTDOWN_CAUSE rises": {"shutdown_cause": ShutdownCause.BMS_FAULT},
+    "EBS_STATE becomes FAULT": {"ebs_state": EbsState.EBS_FAULT},
+    "TS_STATE becomes FAULT": {"ts_state": TsState.TS_FAULT},
+    "OP_STATE becomes FAULT": {"op_state": OpState.OP_FAULT},
+}
+"""Marks that 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
+_BITS: Final = m.Faults.__struct_fields__
+_IDS: Final[Mapping[type, int]] = {
+    kind: can_id
+    for can_id, kind in enumerate((m.VcuDriveFront, m.VcuDriveRear, m.VcuSteer, m.VcuBrake, m.WheelSpeeds), 0x521)
+}
+
+
+class CarFrame(Frame, frozen=True):
+    """A frame that carries its image along."""
+
+    decoded: Decoded = Decoded(None)
+
+
+class PlainCodec:
+    """The codec that hands on what a frame carries."""
+
+    unknown = ""
+
+    def decode(self, frame: CarFrame) -> Decoded:
+        return frame.decoded
+
+
+def frames_of(choice: Choice, vcu: Vcu, now: int) -> Iterator[CarFrame]:
+    """Yield the car's frames of one cycle that come, in their order."""
+    if STATUS not in choice.lost and choice.unreadable:
+        yield CarFrame(0x520, b"", now, decoded=Decoded(None, (), vcu.bit))
+    elif STATUS not in choice.lost:
+        yield _status_frame(vcu.bit, choice.go, vcu.state, choice.ami, choice.fault, choice.marks, now)
+    if AXLES not in choice.lost:
+        yield _frame(m.VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(m.VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
+    if STEER not in choice.lost:
+        yield _frame(m.VcuSteer, now, 0.0, choice.angle_max_deg)
+    if BRAKE not in choice.lost:
+        yield _frame(m.VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
+    if SPEEDS not in choice.lost:
+        yield _frame(m.WheelSpeeds, now, *choice.rpm)
+
+
+@cache  # the same few come again and again
+def _frame(kind: type[Any], now: int, *values: float) -> CarFrame:
+    image: m.Image = kind(*values, t_rx_ns=now)
+    return CarFrame(_IDS[kind], b"", now, decoded=Decoded(image, (), None))
+
+
+@cache
+def _status_frame(
+    bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int
+) -> CarFrame:
+    shown = {name: value for mark in marks for name, value in MARKS[mark].items()}
+    faults = m.Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
+    image = replace(
+        _WELL_STATUS,
+        handshake=bit,
+        go_signal=go,
+        as_state=state,
+        ami=ami,
+        fault=fault,
+        faults=faults,
+        t_rx_ns=now,
+        **shown,
+    )
+    return CarFrame(0x520, b"", now, decoded=Decoded(image, (), bit))
+
+
+# ---------------------------------------------------------------- choices that scopes share
 
 
 def _each(base: Choice, *changes: dict[str, Any]) -> tuple[Choice, ...]:
@@ -76,7 +288,7 @@ _LOST: Final = [frozenset(some) for count in (0, 1, 2) for some in combinations(
 _EVERY_MARK: Final = frozenset(MARKS)
 _EACH_MARK: Final = [frozenset((mark,)) for mark in MARKS]
 
-# ---------------------------------------------------------------- the table
+# ---------------------------------------------------------------- the scopes
 
 
 class Ending(Value, frozen=True):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 from msgspec import field
 
 from fsai_hil.evidence.abstraction import FITTING
 from fsai_hil.rules.checker import WireChecker
-from fsai_hil.rules.numbers import BACKLOG_NS
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.watched_bridge import WatchedBridge, process_of
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
@@ -104,21 +102,3 @@ class SearchedBridge(WatchedBridge):
             SteeringCheck(implausible_since_ns=since_ns(self.steer_odd, state.steering.implausible_since_ns)),
             WheelCheck(implausible_since_ns=since_ns(self.wheel_odd, state.wheels.implausible_since_ns)),
         )
-
-
-EVENTS: Final[Mapping[str, Callable[[WatchedBridge, int], object]]] = {
-    "an intruder sends 0x511": lambda b, now: (b.on_frame(Frame(0x511, bytes(4), now)), b.checker.on_intruder("0x511")),
-    "the loop misses its deadline": lambda b, now: b.loop_fault("a deadline was missed by 50 ms", now),
-    "the bus is lost": lambda b, now: b.bus_lost("the interface is gone", now),
-    "the bus is back": lambda b, now: b.bus_back(now),
-    "the software is stopped": lambda b, now: b.begin_stop(now),
-    "frames waited for 20 ms": lambda b, now: b.backlog(BACKLOG_NS, now),
-    "manual asked for": lambda b, now: b.set_mode("manual", now),
-    "autonomous asked for": lambda b, now: b.set_mode("autonomous", now),
-    "sideways asked for": lambda b, now: b.set_mode("sideways", now),  # which is no mode
-    "emergency brake asked for": lambda b, now: b.emergency_brake("somebody asked for it", now),
-    "reset asked for": lambda b, now: b.reset(now),
-}
-"""The events of a cycle that the process sees, by the name in `Choice.event`."""
-HAPPENINGS: Final = tuple(event for event in EVENTS if not event.endswith("asked for"))
-RESTART: Final = "restart"  # an event too: another process takes the bridge's place

@@ -15,7 +15,8 @@ from fsai_hil.rules import numbers as n
 from fsai_hil.rules.numbers import MS
 from fsai_hil.rules.plausible import Plausibility
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation, marks_of
+from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation
+from fsai_hil.rules.shown import SHOWN, marks_of
 from fsai_hil.rules.wheels import Belief, Wheels
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -41,7 +42,10 @@ OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
 IN_THE_AIR: Final = (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)  # each wheel turns for itself
 _OFF_SEEN, _READY_SEEN, WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
-_LOOKED_AT: Final = VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts
+_LOOKED_AT: Final = (
+    *(VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts),
+    *(row.message for row in SHOWN),
+)
 HEEDED_IDS: Final = frozenset((*AI_IDS, *(BY_NAME[kind.dbc_name].can_id for kind in _LOOKED_AT)))
 """The identifiers of which a rule asks for something: of the rest, most of a bus, none does."""
 RESTART_GAP_NS: Final = 150 * MS  # a process that starts listens for 200 ms before its first frame
@@ -131,6 +135,7 @@ class BusView:
         self.wheels = Wheels(self._pulses_per_rev, self.in_flight_ns, self.slack_ns)
         follows = self._car is not None and self.process is not None and self.process.follows
         self._plausibility = Plausibility(self._car) if follows and self._car is not None else None
+        self.shown_ns: list[int | None] = [None] * len(SHOWN)  # since when AS_DRIVING shows each row of it
         self._late: dict[str, deque[tuple[int, Any]]] = {}
         self.toggle: tuple[int, bool] | None = None
         self._ai_silent = False
@@ -162,13 +167,15 @@ class BusView:
         """
         self._forget(now_ns, data_may_be_lost)
         rpm, wheel_ages = self.wheels.saved(now_ns)
-        ages = [-1 if t_ns is None else now_ns - t_ns for t_ns in PARTS.times_of(self.seen)]
+        times = *PARTS.times_of(self.seen), *self.shown_ns
+        ages = [-1 if t_ns is None else now_ns - t_ns for t_ns in times]
         return (rpm, *PARTS.others_of(self.seen)), (*ages, *wheel_ages)
 
     def load(self, saved: Saved, now_ns: int) -> None:
         """Put back what was saved."""
         (rpm, *plain), ages = saved
-        self.seen = Seen(**PARTS.values(plain, [None if age < 0 else now_ns - age for age in ages]))
+        times = [None if age < 0 else now_ns - age for age in ages]
+        self.seen, self.shown_ns = Seen(**PARTS.values(plain, times)), times[len(PARTS.ages) : -4]
         self.was_off, self.cycle_ns, self.toggle = False, None, None
         self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
 
@@ -190,8 +197,7 @@ class BusView:
         if s.alarm is not None:
             s.alarm = None if s.latched else "an emergency is due"
         if not driving:
-            s.go = s.fault = False
-            s.braked_pct, s.back_ns = 0.0, None
+            s.go, s.braked_pct, s.back_ns = False, 0.0, None
         if not driving or s.stopped:
             s.front_ns = s.front_ns and now_ns
             s.rear_ns = s.rear_ns and now_ns
@@ -199,6 +205,7 @@ class BusView:
             s.steer_ns = s.steer_ns and now_ns
             s.complete_ns = s.complete_ns and now_ns
             s.steer_odd_ns = s.wheel_odd_ns = None
+            self.shown_ns = [None] * len(SHOWN)
         if s.command_ns is not None and s.driving_ns is not None and not data_may_be_lost and age_ns < n.CYCLE_NS:
             s.driving_ns = max(s.driving_ns, now_ns - n.LAUNCH_NS)  # how long it has waited for commands is no matter
         if s.back_ns is not None and not s.reopening:
@@ -239,6 +246,9 @@ class BusView:
                     self._plausibility.on_speeds(image.all_rpm, t_ns)
         elif isinstance(image, WheelCounts):
             self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), t_ns)
+        for place, row in enumerate(SHOWN):
+            if isinstance(image, row.message):
+                self.shown_ns[place] = (self.shown_ns[place] or t_ns) if row.shows(image) else None
 
     def _note(self, name: str, t_ns: int, value: Any, in_flight_ns: int | None = None) -> None:
         """Keep a value and those before it that a sender may have seen last instead."""
@@ -299,7 +309,7 @@ class BusView:
             s.order, s.command_ns = None, None  # of the run before
         anew = s.silent or state is not s.as_state
         self._follow_path(status, anew, unjudged, t_ns)
-        s.as_state, s.go, s.fault, s.status_ns = state, status.go_signal, status.fault, t_ns
+        s.as_state, s.go, s.status_ns = state, status.go_signal, t_ns
         marks = marks_of(status)
         if anew:
             self.as_states.append((t_ns, state))
@@ -307,6 +317,7 @@ class BusView:
             if state is AsState.AS_DRIVING:
                 s.driving_ns = None if unjudged else t_ns
                 s.stopped, s.alarm = None, None
+                self.shown_ns = [None] * len(SHOWN)
         if state is not AsState.AS_DRIVING:
             if s.alarm is not None and (s.bus_gone or s.reopening):
                 s.latched = True  # what a lost bus did not carry is asked for when it is back

@@ -1,7 +1,7 @@
 """The graded reactions as a table, and what is due by them: the stops and emergencies that a process must ask for.
 
 Written apart from the core's supervisor, in the safety rules' own words: a wrong time or a forgotten row there shows
-here. What a reaction does to the frames is said in `frame_rules.py`.
+here. What a message of the car shows is in `shown.py`. What a reaction does to the frames is said in `frame_rules.py`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.bus_view import BRAKE_STEP_PCT, OFF, ROLES, WHOLE, BusView
 from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.shown import SHOWN
 from fsai_vcu.interface.enums import Ami, AsState
 
 
@@ -74,13 +75,13 @@ class Reactions(BusView):
         if s.ended is not None and not self.wheels.may_stand(now_ns):
             self._alarm("the software ends, and the car is not known to stand")
         supervised = now_ns >= launched_ns
-        for what, lasts, stop_ns, alarm_ns, of_supervision in GRADED:
-            if supervised or not of_supervision:
-                lasts_ns = lasts(self)
-                if lasts_ns >= stop_ns:
-                    self._stop(f"{what} for {stop_ns / MS:.0f} ms")
-                if lasts_ns >= alarm_ns:
-                    self._alarm(f"{what} for {alarm_ns / MS:.0f} ms")
+        shown = ((row, self.since_ns(t_ns)) for row, t_ns in zip(SHOWN, self.shown_ns, strict=True))
+        for row, lasts_ns in (*((row, row.lasts_ns(self)) for row in GRADED), *shown):
+            if supervised or not row.supervised:
+                if lasts_ns >= row.stop_ns:
+                    self._stop(f"{row.what} for {row.stop_ns / MS:.0f} ms" if row.stop_ns else row.what)
+                if lasts_ns >= row.alarm_ns:
+                    self._alarm(f"{row.what} for {row.alarm_ns / MS:.0f} ms")
         lost = runs = False
         if supervised:
             lost = s.autonomous and self._without_command_ns(now_ns - launched_ns, age_ns) >= n.COMMAND_LOST_NS
@@ -184,7 +185,6 @@ AT_ONCE: Final[tuple[tuple[str, Callable[[Reactions], bool]], ...]] = (
     ("no mission was acknowledged", lambda v: v.seen.mission is Ami.NOT_SELECTED or not v.seen.acknowledged),
     ("not both resets are confirmed", lambda v: len(v.seen.confirmed) < len(ROLES)),
     ("Go is off", lambda v: not v.seen.go),
-    ("FAULT_STATUS is 1", lambda v: v.seen.fault),
     ("the software was stopped", lambda v: v.seen.ended is not None),
 )
 """Conditions that stop a run in the cycle in which they are seen."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from operator import attrgetter
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -12,9 +11,9 @@ from msgspec.structs import fields
 
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.declared import declared, edges_ns
+from fsai_hil.rules.shown import SHOWN
 from fsai_vcu.core.ages import Ages, NotSearched
-from fsai_vcu.interface.enums import Ami, AsState, CarEnum, ShutdownCause
-from fsai_vcu.interface.messages import Faults, VcuStatus
+from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
 
 NOBODY: Final[frozenset[str]] = frozenset()
@@ -64,7 +63,6 @@ class Seen(Struct):
     # what the car sent
     as_state: AsState | None = None
     go: bool = False
-    fault: bool = False
     status_ns: Annotated[int | None, Ages(n.STATUS_FRESH_NS, n.STATUS_LOST_NS)] = None
     any_status_ns: Annotated[int | None, Ages(gap=(n.POWER_CYCLE_NS,))] = None  # any 0x520, believed or not
     # since when each 0x520 has been one that is known; None: the last is not
@@ -149,46 +147,10 @@ class Parts:
 PARTS: Final = Parts(Seen)
 EDGES: Final = (
     *map(edges_ns, PARTS.ages),
+    *(row.edges_ns for row in SHOWN),
     (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
     (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
     (n.STILL_NS,),
     (n.COUNTED_NS,),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""
-
-
-STATES: Final = ("EBS_STATE", "TS_STATE", "OP_STATE")
-FAULT_STATE: Final = 15  # of each of them (2026); what no table knows is read as it
-
-
-def marks_of(status: VcuStatus) -> frozenset[str]:
-    """Return what of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
-    cause = status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN
-    states = status.ebs_state, status.ts_state, status.op_state
-    return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause, states, status.ami)
-
-
-@lru_cache
-def _marks(
-    as_switch: bool,
-    ts_switch: bool,
-    shutdown: bool,
-    faults: Faults,
-    cause: bool,
-    states: tuple[CarEnum | None, ...],
-    ami: Ami,
-) -> frozenset[str]:
-    """Return the marks of a 0x520 with these fields by their names; cached, for fields rarely change."""
-    shown = {
-        f"AMI_STATE becomes {ami.label}": True,
-        **{
-            f"{name} becomes FAULT": state is not None and state == FAULT_STATE
-            for name, state in zip(STATES, states, strict=True)
-        },
-        "AS_SWITCH_STATUS falls": not as_switch,
-        "TS_SWITCH_STATUS falls": not ts_switch,
-        "SHUTDOWN_REQUEST rises": shutdown,
-        "SHUTDOWN_CAUSE rises": cause,
-        **{f"fault bit {name} rises": getattr(faults, name) for name in Faults.__struct_fields__},
-    }
-    return frozenset(mark for mark, there in shown.items() if there)

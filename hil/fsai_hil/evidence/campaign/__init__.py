@@ -1,6 +1,7 @@
 """The fault campaign: every kind of fault at random moments of every mission, judged by what the safety rules demand.
 
-- `catalogue` lists the kinds of fault, one row each: `injections` does them to a run, `endings` names how it may end.
+- `faults` has the kinds of fault by what fails: what does each to a run, and its row; `catalogue` lists them all,
+  `endings` names how a run may end.
 - `cases` makes case N of seed S, from the two numbers alone.
 - `scenario` drives one case, `observation` notes what was seen from outside, `verdict` holds the end against the row.
 - `runner` spreads cases over processes, or over a Dask cluster; `table` shows their results.

@@ -14,7 +14,8 @@ from typing import Any, Final
 
 from msgspec import field
 
-from fsai_hil.evidence.campaign.catalogue import EVERY_MISSION, ROWS, Draw, FaultKind, kind_named
+from fsai_hil.evidence.campaign.catalogue import ROWS, kind_named
+from fsai_hil.evidence.campaign.faults.kind import EVERY_MISSION, Draw, FaultKind
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import LEGS_MS, WINDOW_MS, Case, Since
-from fsai_hil.evidence.campaign.injections import Ongoing
+from fsai_hil.evidence.campaign.faults.kind import Ongoing
 from fsai_hil.evidence.campaign.observation import Observer
 from fsai_hil.evidence.campaign.verdict import SUPERVISED_MS, CaseVerdict, as_record, judge
 from fsai_hil.simulator.lockstep import Lockstep

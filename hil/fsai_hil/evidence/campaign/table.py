@@ -11,7 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS
-from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
+from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
+from fsai_hil.evidence.campaign.faults.kind import FaultKind
 from fsai_hil.evidence.work import Header
 
 RunLine = Mapping[str, Any]
