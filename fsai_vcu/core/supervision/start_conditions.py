@@ -331,7 +331,7 @@ def seen_met(moment: Moment, state: AsState) -> tuple[dict[str, str], tuple[str,
     shown: dict[str, str] = {}
     unseen: dict[str, None] = {}
     for condition in CONDITIONS:
-        if state in condition.states and condition.sources and not condition.hint:
+        if state in condition.states and not condition.hint:
             met = condition.met(moment)
             if met is not None:
                 shown[met[0]] = met[1]
@@ -365,10 +365,11 @@ def why_not_driving(moment: Moment) -> Iterator[Obstacle]:
 
 
 def _for_go(moment: Moment, status: VcuStatus) -> Iterator[Obstacle]:
-    left_ns = 0 if moment.waited_ns is None else READY_WAIT_NS - moment.waited_ns
-    if left_ns > 0:
-        yield Obstacle("ready_wait", f"waiting in AS_READY: {left_ns / S:.1f} s of {READY_WAIT_NS // S} s left")
-    yield _waiting("go_held", follows=left_ns > 0) if status.go_signal else _waiting("no_go", follows=left_ns > 0)
+    waits = moment.waited_ns is not None and moment.waited_ns < READY_WAIT_NS
+    if moment.waited_ns is not None and waits:
+        left_s = (READY_WAIT_NS - moment.waited_ns) / S
+        yield Obstacle("ready_wait", f"waiting in AS_READY: {left_s:.1f} s of {READY_WAIT_NS // S} s left")
+    yield _waiting("go_held" if status.go_signal else "no_go", follows=waits)
 
 
 def _waiting(slug: str, evidence: str = "", *, follows: bool = False) -> Obstacle:
