@@ -30,6 +30,7 @@ from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, resampled, to_odometry, to_vehicle
+from fsai_vcu.core.vehicle.odometry import slipped
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import S
@@ -155,6 +156,20 @@ def motions(line: Floats, condition: Disturbance) -> Iterator[Motion]:
         )
 
 
+def by_odometry(places: Iterator[Motion]) -> Iterator[tuple[Motion, Motion]]:
+    """Yield each place of the car, and where odometry has it: where it points to, as if its tyres did not slip."""
+    last = by_wheels = Motion()
+    for place in places:
+        assumed = slipped(by_wheels, last, place)  # moves the car outward in a corner, which has to end at its place
+        by_wheels = replace(
+            place,
+            x_m=by_wheels.x_m + 2.0 * (place.x_m - last.x_m) - (assumed.x_m - by_wheels.x_m),
+            y_m=by_wheels.y_m + 2.0 * (place.y_m - last.y_m) - (assumed.y_m - by_wheels.y_m),
+        )
+        last = place
+        yield place, by_wheels
+
+
 def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> LaneFigures:
     """Carry the planner once round, from the first point of the line."""
     draw = np.random.default_rng(7)
@@ -169,21 +184,21 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
     took_ms: list[float] = []
     failed_at_m: list[float] = []
     looks = lost = 0
-    for index, motion in enumerate(motions(line, condition)):
+    for index, (motion, told) in enumerate(by_odometry(motions(line, condition))):
         here = to_vehicle(motion, cones)
         ahead, aside = here.T
         seen = (np.hypot(ahead, aside) < RANGE_M) & (abs(np.arctan2(aside, ahead)) < HALF_VIEW_RAD) & (ahead > BLIND_M)
         xy, color = condition.seen(here[seen], colors[seen], draw)
         look = ConeObservation(motion.t_ns, xy, color, np.ones(len(xy)))
         if condition.alone:
-            begin_again(planner, look, motion)
+            begin_again(planner, look, told)
         began_s = time.thread_time()
-        plan = planner.on_cones(look, motion)
+        plan = planner.on_cones(look, told)
         took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))
         if plan is not None and plan.lost:
             lost += 1
-            begin_again(planner, look, motion)
-            plan = planner.on_cones(look, motion)
+            begin_again(planner, look, told)
+            plan = planner.on_cones(look, told)
         if index < SEEN_BEFORE or index % 2:
             continue
         looks += 1
@@ -203,11 +218,11 @@ def judged(track: Track, line: Floats, condition: Disturbance, name: str) -> Lan
     return LaneFigures(name, condition.name, looks, tuple(failed_at_m), mean_m, most_m, lost, tuple(took_ms))
 
 
-def begin_again(planner: Planner, look: ConeObservation, motion: Motion) -> None:
+def begin_again(planner: Planner, look: ConeObservation, told: Motion) -> None:
     """Let the planner forget all, and take this look in so often that the next one has a lane."""
     planner.reset(RUN)
     for _ in range(SEEN_ALONE - 1):
-        planner.on_cones(look, motion)
+        planner.on_cones(look, told)
 
 
 def _distances(points: Floats, line: Floats) -> Floats:
