@@ -10,6 +10,7 @@ import math
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
 
@@ -96,6 +97,7 @@ class Plan(Value, frozen=True):
     supported_m: float = math.inf
     confidence: float = 1.0
     mapped: bool = False
+    slip_radpmps2: float = SLIP_RADPMPS2
     note: str = ""
 
     @property

@@ -42,7 +42,6 @@ class ControllerSettings(Value, frozen=True):
     steer_play_rad: Annotated[float, within(0.0, 0.05)] = math.radians(0.2)
     # Share of the car's backlash that is steered through on a turn-back.
     backlash_share: Annotated[float, within(0.0, 1.0)] = 0.8
-    slip_radpmps2: Annotated[float, within(0.0, 0.02)] = 0.0075  # slip angle of the rear axle by lateral acceleration
 
     reaction_s: Annotated[float, within(0.0, 0.5)] = 0.11  # command to brakes: dead time, bus, half a cycle of each
     preview_s: Annotated[float, within(0.2, 2.0)] = 0.45  # the profile's speed so far ahead is the one aimed at

@@ -66,6 +66,11 @@ class Racing:
         """Degree to which the cones seen lately confirm the map, 0…1."""
         return self._map.fit
 
+    @property
+    def slip_radpmps2(self) -> float:
+        """The rear axle's slip angle by lateral acceleration, as the map has shown it."""
+        return self._map.slip.radpmps2
+
     def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:
         """Take in the cones seen (vehicle frame). Returns the car's motion in the map frame."""
         here = self._map.add(seen_xy_m, motion)
