@@ -80,7 +80,7 @@ class Controller:
         self._profile: Floats | None = None
         self._sight = Sight()
         self._sight_end_m = math.inf  # along the line: before it the front wheels of a car that drives by sight stop
-        self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; now
+        self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; as the wheels turn now
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
         self._steered = deque([(-1.0, 0.0)], STEERED_KEPT)  # when (s) which road angle (rad) was asked for

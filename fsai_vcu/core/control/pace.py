@@ -13,6 +13,7 @@ from fsai_vcu.interface.values import Value
 ANGLE_RAD = 0.084  # of the rear axle's slip in a corner: beyond about the double no tyre holds more
 LEAST, MOST = 0.85, 1.2  # of the settings' grip
 GROWS_1PM, SINKS_1PM = 0.0005, 0.003  # a tenth in 200 m
+LEARNT_M = 100.0  # of way along the map, after which the slip measured is the car's own
 STEP = 0.1  # of the settings' grip: so much less than when the path was lost
 LOST_M = 0.45  # beside the path
 SLIPPING = 0.2  # axle_slip of tyres that hold is some hundredths, and 0.13 with the steering at its end
@@ -34,20 +35,23 @@ class Pace(Value, frozen=True):
     gain: float = 1.0
     most: float = MOST
     distance_m: float = 0.0
+    raced_m: float = 0.0  # of way along the map, in this run
 
     def after(self, shown: Shown) -> Pace:
         """The pace once the car has shown this."""
-        at_m = shown.distance_m
+        at_m, raced_m = shown.distance_m, self.raced_m
         least = min(self.gain, 1.0)
         if not shown.sure:
-            return Pace(least, self.most, at_m)
+            return Pace(least, self.most, at_m, raced_m)
         if not (abs(shown.aside_m) <= LOST_M and shown.axle_slip <= SLIPPING):
             most = max(1.0, self.gain - STEP) if self.gain > 1.0 else self.most
-            return Pace(least, most, at_m)
+            return Pace(least, most, at_m, raced_m)
         way_m = max(at_m - self.distance_m, 0.0)
+        raced_m += way_m
+        grows_1pm = GROWS_1PM if raced_m > LEARNT_M else 0.0
         wanted = min(max(ANGLE_RAD / shown.angle_rad, LEAST), self.most)
-        gain = min(max(wanted, self.gain - SINKS_1PM * way_m), self.gain + GROWS_1PM * way_m)
-        return Pace(gain, self.most, at_m)
+        gain = min(max(wanted, self.gain - SINKS_1PM * way_m), self.gain + grows_1pm * way_m)
+        return Pace(gain, self.most, at_m, raced_m)
 
 
 def axle_slip(wheel_speeds_rpm: tuple[float, float, float, float]) -> float:

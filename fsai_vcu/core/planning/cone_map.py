@@ -17,8 +17,8 @@ from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import aside, in_view, joined, matched
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, resampled_ring, to_odometry, to_vehicle
-from fsai_vcu.core.planning.slip import Slip
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.core.planning.slip import Slip
 
 Bools = NDArray[np.bool_]
 
@@ -27,7 +27,7 @@ RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer 
 LATELY_M = 54.0  # of way: cones seen for the first time in it tell where in the map the car is
 VIEW_M = 14.0  # cones come into view about this far ahead
 BELIEVED_HITS = 3.0
-AVERAGE_OVER, CLOSED_OVER = 20.0, 60.0  # sightings in a cone's mean; in a lap raced each is placed less well
+AVERAGE_OVER = 20.0  # sightings in a cone's mean
 TRUST_GAIN, TRUST_NEW, TRUST_MIN = 0.15, 0.5, 0.2  # of the share of looks at a cone's place that find it
 MOVED_M = 0.2  # a cone so far from where it was when the map was taken has moved, …
 BORDER_M = 4.0  # … which matters within this distance of the driven path
@@ -201,7 +201,7 @@ class ConeMap:
             known = near[nearest[same]]
             found[known] = True
             cones["hits"][known] += 1.0
-            share = 1.0 / np.minimum(cones["hits"][known], CLOSED_OVER if self.closed else AVERAGE_OVER)
+            share = 1.0 / np.minimum(cones["hits"][known], AVERAGE_OVER)
             cones["xy"][known] += share[:, None] * (at[same] - cones["xy"][known])
             cones["way_m"][known] += share * (here.distance_m - cones["way_m"][known])
             cones["last_m"][known] = here.distance_m

@@ -57,8 +57,8 @@ class Course(Value, frozen=True):
     supported_m: float = math.inf
     confidence: float = 1.0
     mapped: bool = False
-    slip_radpmps2: float = SLIP_RADPMPS2
     note: str = ""
+    slip_radpmps2: float = SLIP_RADPMPS2
 
 
 class Strategy(Protocol):

@@ -99,10 +99,9 @@ class LapStrategy:
         left = None
         if self._finished_at_m is not None:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
-        slip = racing.slip_radpmps2 if racing is not None else course.slip_radpmps2
-        return replace(
-            course, laps=self._state.laps, finished=left is not None, stop_distance_m=left, slip_radpmps2=slip
-        )
+        if racing is not None:
+            course = replace(course, slip_radpmps2=racing.slip_radpmps2)
+        return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
 
     def _clear_of_false(self, cones: Cones, sure_xy_m: Floats, seen_xy_m: Floats) -> tuple[float, str]:
         """The share of confidence that is left by cones seen where none stand, and the note on it.

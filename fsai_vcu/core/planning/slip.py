@@ -9,7 +9,7 @@ from __future__ import annotations
 from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, SLIP_RADPMPS2
 from fsai_vcu.interface.values import Value
 
-CORNER_MPS2 = 4.0
+CORNER_MPS2 = 4.0  # less says little of it
 LEFT_MOST_M, WAY_MOST_M = 0.2, 2.0  # a larger correction, or step, is of another cause
 MEMORY_M2PS2 = 28.0  # way times lateral acceleration, summed in squares: some 100 m of corners tell it
 LEAST, MOST = 0.5 * SLIP_RADPMPS2, 2.5 * SLIP_RADPMPS2
