@@ -15,6 +15,7 @@ from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.car_signals import Actuation
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import FEEL_ITS_WAY_MPS, Controller
+from fsai_vcu.core.control.pace import LEARNT_M
 from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import CLEAR_OVER_M, LOOK_S
@@ -717,3 +718,31 @@ def test_a_map_lost_in_a_corner_leaves_grip_for_the_corner() -> None:
     sideways = speed**2 / 20.0 / SETTINGS.race_lateral_mps2
     most = SETTINGS.braking_max_mps2 * max(math.sqrt(max(1.0 - sideways**2, 0.0)), 0.2)
     assert 0.0 < brake * CAR.brake_full_mps2 <= 1.2 * most + 0.13 * CAR.brake_full_mps2
+
+
+def raced_speed(slip_radpmps2: float, way_m: float = 600.0, mapped: bool = True) -> float:
+    """The speed at which throttle ends in a corner of 10 m, after so much way with tyres that slip so."""
+    controller, path = reset_for(RUN), arc(10.0, 50.0)
+    for step in range(round(way_m)):
+        now = step * 100 * MS
+        motion = Motion(t_ns=now, speed_mps=8.0, distance_m=float(step))
+        ask(
+            plan_of(path, now, mapped=mapped, slip_radpmps2=slip_radpmps2),
+            controller=controller,
+            now_ns=now,
+            motion=motion,
+        )
+    assert controller._profile is not None
+    return math.sqrt(float(controller._profile[20]))
+
+
+def test_tyres_that_slip_less_are_asked_for_more() -> None:
+    assert raced_speed(0.008) > 1.05 * raced_speed(0.0112) > 1.08 * raced_speed(0.014)
+
+
+def test_no_more_is_asked_before_the_slip_is_learnt() -> None:
+    assert raced_speed(0.008, LEARNT_M) == raced_speed(0.0112, LEARNT_M)
+
+
+def test_off_the_map_slip_changes_no_speed() -> None:
+    assert raced_speed(0.008, mapped=False) == raced_speed(0.014, mapped=False)

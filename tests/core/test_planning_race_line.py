@@ -127,6 +127,19 @@ def test_a_line_without_room_for_the_way_onto_it_waits(monkeypatch: pytest.Monke
     assert any(ride.step().mapped for _ in range(30))
 
 
+def test_a_car_keeps_its_line_until_it_can_join_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    ride, _ = mapped()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+    assert all(ride.step().mapped for _ in range(20))
+    first = racing._line
+    monkeypatch.setattr(RaceLine, "beyond_m", lambda *_: BEYOND_M + 0.01)
+    racing._map.changed = True
+    assert all(ride.step().mapped for _ in range(20)) and racing._line is first
+    monkeypatch.undo()
+    assert ride.step().mapped and racing._line is not first
+
+
 def test_a_line_tells_its_curvature() -> None:
     line = race_line(OVAL)
     near = ring_curvature(line.xy_m, over=2)

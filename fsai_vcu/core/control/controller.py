@@ -17,6 +17,7 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.control.pace import Pace, Shown, axle_slip
 from fsai_vcu.core.control.path_tracking import PathLine, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import Sight
@@ -79,6 +80,7 @@ class Controller:
         self._profile: Floats | None = None
         self._sight = Sight()
         self._sight_end_m = math.inf  # along the line: before it the front wheels of a car that drives by sight stop
+        self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; as the wheels turn now
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
         self._steered = deque([(-1.0, 0.0)], STEERED_KEPT)  # when (s) which road angle (rad) was asked for
@@ -142,6 +144,7 @@ class Controller:
         if run.run_id != self._run_id or run.mission != self._mission:
             self.reset(run)
         self._history.add(motion)
+        self._axle_slip = axle_slip(wheel_speeds_rpm)
         if plan is not None and (plan.run_id != run.run_id or plan.mission != run.mission):
             plan = None
         if run.mission in WITHOUT_PATH:
@@ -262,7 +265,7 @@ class Controller:
         if line is None:
             return self._no_way(speed, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
 
-        x, y, course, travel = self._predicted(there, motion, now_ns)
+        x, y, course, travel = self._predicted(plan, there, motion, now_ns)
         station, left = line.beside(x, y, driven)
         if abs(left) > ASIDE_MAX_M or station < -AHEAD_MAX_M:
             return self._no_way(speed, "the path is not where the car is")
@@ -271,6 +274,9 @@ class Controller:
             return self._no_way(
                 speed, f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else "")
             )
+        angle_rad = plan.slip_radpmps2 * settings.race_lateral_mps2
+        sure = plan.mapped and plan.confidence >= settings.confidence_sure
+        self._pace = self._pace.after(Shown(motion.distance_m, left, self._axle_slip, angle_rad, sure))
         curvature = math.tan(self._steered[-1][1]) / self._car.wheelbase_m
         self._steer(curvature, steering_rate(line, station, left, course, curvature, speed), now_ns)
         if self._ending_since_ns is not None:
@@ -307,8 +313,7 @@ class Controller:
         known = plan.mapped or plan.mission in PRESET
         most = self.max_speed_mps(plan.mission, plan.mapped) - HELD_BELOW_MPS
         allowed = most if known else min(most, settings.careful_mps - HELD_BELOW_MPS)
-        lateral = settings.race_lateral_mps2 if plan.mapped else settings.lateral_mps2
-        braking = settings.race_braking_mps2 if known else settings.braking_mps2
+        lateral, braking = self._grip_mps2(plan.mapped, known)
         at_m = seen_from_m + line.along_m - here  # along the driven path
         now_m, sight_m = seen_from_m + driven_m, plan.supported_m - car.wheelbase_m
         slowest = profile(self._careful(sure, allowed, now_m, speed, at_m), lateral, braking)
@@ -341,20 +346,29 @@ class Controller:
         ceiling: Floats = np.minimum(np.maximum((allowed_mps * max(sure, 0.3)) ** 2, rolling), allowed_mps**2)
         return ceiling
 
-    def _predicted(self, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
+    def _grip_mps2(self, mapped: bool, known: bool) -> tuple[float, float]:
+        """Return what is asked of the tyres: lateral in corners, and braking before them.
+
+        mapped: the path follows a map; known: its whole course is known, by a map or beforehand.
+        """
+        settings, gain = self._settings, self._pace.gain
+        lateral = gain * settings.race_lateral_mps2 if mapped else settings.lateral_mps2
+        return lateral, gain * settings.race_braking_mps2 if known else settings.braking_mps2
+
+    def _predicted(self, plan: Plan, there: Motion, motion: Motion, now_ns: int) -> tuple[float, float, float, float]:
         """Predict the rear axle when the steering answers: x, y (m), course (rad), and the distance until then (m).
 
         All are in the vehicle frame of `there`. The steering has been told what the car will do until then. Tyres slip,
         so the axle moves further outward than the car points.
         """
-        delay_s = self._settings.delay_s + self._settings.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
+        delay_s = self._settings.delay_s + plan.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
         t_s = min(now_ns - motion.t_ns, CARRIED_NS) / 1e9 + delay_s
         steps = np.arange(PREDICTED_IN) + 0.5
         asked = np.array(self._steered)
         told_s = motion.t_ns / 1e9 - delay_s + steps * t_s / PREDICTED_IN
         speed, way = motion.speed_mps, motion.speed_mps * t_s / PREDICTED_IN
         turns = way * np.tan(np.interp(told_s, asked[:, 0], asked[:, 1])) / self._car.wheelbase_m
-        slip = self._settings.slip_radpmps2 * speed * motion.yaw_rate_radps
+        slip = plan.slip_radpmps2 * speed * motion.yaw_rate_radps
         course = motion.yaw_rad - there.yaw_rad - slip
         courses = course + turns.cumsum() - 0.5 * turns
         dx, dy = motion.x_m - there.x_m, motion.y_m - there.y_m
@@ -394,7 +408,7 @@ class Controller:
         # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
         most_braking = settings.sight_braking_max_mps2 if self._sight_end_m < math.inf else settings.braking_max_mps2
-        hardest = most_braking * braking_share(speed * speed * curvature / settings.race_lateral_mps2)
+        hardest = most_braking * braking_share(speed * speed * curvature / self._grip_mps2(mapped=True, known=True)[0])
         wanted = min(max(min(wanted, self._for_sight(here_m, speed)), -hardest), most)
         if self._accelerated_ns is not None:
             change = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)

@@ -30,9 +30,9 @@ class ControllerSettings(Value, frozen=True):
     sight_braking_mps2: Annotated[float, within(0.5, 8.0)] = 6.5  # … and by sight: it stops on what cones bear out
     sight_braking_max_mps2: Annotated[float, within(1.2, 9.0)] = 8.0
     race_lateral_mps2: Annotated[float, within(0.5, 15.0)] = 7.5  # the same where the path follows a map …
-    race_braking_mps2: Annotated[float, within(0.5, 8.0)] = 5.0  # … or is known beforehand
+    race_braking_mps2: Annotated[float, within(0.5, 8.0)] = 6.5  # … or is known beforehand
     stopping_mps2: Annotated[float, within(0.5, 8.0)] = 4.0  # planned before the stopping place
-    braking_max_mps2: Annotated[float, within(1.2, 9.0)] = 6.0
+    braking_max_mps2: Annotated[float, within(1.2, 9.0)] = 8.0
     end_of_path_mps: Annotated[float, within(0.0, 20.0)] = 4.0  # with what lies behind the path's end unknown
     confidence_sure: Annotated[float, within(0.01, 1.0)] = 0.5  # with a lower one speeds shrink, gently …
     confidence_min: Annotated[float, within(0.0, 1.0)] = 0.2  # … and below this the nose stops at the path's end
@@ -42,7 +42,6 @@ class ControllerSettings(Value, frozen=True):
     steer_play_rad: Annotated[float, within(0.0, 0.05)] = math.radians(0.2)
     # Share of the car's backlash that is steered through on a turn-back.
     backlash_share: Annotated[float, within(0.0, 1.0)] = 0.8
-    slip_radpmps2: Annotated[float, within(0.0, 0.02)] = 0.0075  # slip angle of the rear axle by lateral acceleration
 
     reaction_s: Annotated[float, within(0.0, 0.5)] = 0.11  # command to brakes: dead time, bus, half a cycle of each
     preview_s: Annotated[float, within(0.2, 2.0)] = 0.45  # the profile's speed so far ahead is the one aimed at

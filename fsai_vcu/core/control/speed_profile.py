@@ -16,13 +16,15 @@ from fsai_vcu.core.control.path_tracking import STEP_M
 
 SMOOTHED_OVER = 5  # points: a curvature counts for the speed when it lasts
 GENTLE_END_M, GENTLE_STOP_MPS2 = 1.5, 1.5  # before the place where the car must stand: no jolt
-BRAKING_SHARE_MIN = 0.2  # of the braking, that is left in a corner at the limit of grip
+# Of the braking, left in a corner at the limit of grip; and by the share of the lateral grip that is left: braking
+# lightens the rear axle, which then holds the car in the corner less well than the front one.
+BRAKING_SHARE_MIN, LIGHTENED = 0.05, 4.0
 
 
 def braking_share(sideways: float) -> float:
-    """Return the share of the braking that is left beside so much of the lateral grip: they share one ellipse."""
+    """Return the share of the braking that is left beside so much of the lateral grip: an ellipse, but for its end."""
     left = 1.0 - sideways * sideways
-    return math.sqrt(left) if left > BRAKING_SHARE_MIN**2 else BRAKING_SHARE_MIN
+    return max(min(math.sqrt(max(left, 0.0)), LIGHTENED * (1.0 - sideways)), BRAKING_SHARE_MIN)
 
 
 def speed_profile(

@@ -17,6 +17,7 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.cone_memory import aside, in_view, joined, matched
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, resampled_ring, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.core.planning.slip import Slip
 
 NEAR_M = 25.0  # cones further from the car cannot be seen
 RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not in sight now
@@ -70,6 +71,7 @@ class ConeMap:
         self._track: list[tuple[float, float, float]] = []  # distance driven and place, of the car
         self._odometry = self.here = motion
         self.fit = 0.0
+        self.slip = Slip()
         self.closed = False
         self.lap_xy_m: Floats = NO_PATH  # the driven path in the lap that was closed …
         self._ring_xy_m: Floats = NO_PATH  # … and coarsely
@@ -110,7 +112,11 @@ class ConeMap:
         if len(seen_xy_m) and firm.any():
             loose = CLOSED_LOOSER if self.closed else 1.0
             drift_m, drift_rad = DRIFT_M + DRIFT_PER_M * step_m, DRIFT_RAD + DRIFT_RAD_PER_M * step_m
-            here = registered(here, seen_xy_m, cones["xy"][firm], loose * drift_m, loose * drift_rad)
+            carried, here = here, registered(here, seen_xy_m, cones["xy"][firm], loose * drift_m, loose * drift_rad)
+            if self.closed and self.fit > TAKING_FIT:
+                dx, dy = here.x_m - carried.x_m, here.y_m - carried.y_m
+                left_m = dy * math.cos(carried.yaw_rad) - dx * math.sin(carried.yaw_rad)
+                self.slip = self.slip.after(step_m, motion.speed_mps * motion.yaw_rate_radps, left_m)
         fit = fit_of(here, seen_xy_m, cones["xy"][firm])
         self.fit += FIT_GAIN * (fit - self.fit)
         self.here = here

@@ -13,6 +13,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import LOST, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
+from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
 from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
 
@@ -57,6 +58,7 @@ class Course(Value, frozen=True):
     confidence: float = 1.0
     mapped: bool = False
     note: str = ""
+    slip_radpmps2: float = SLIP_RADPMPS2
 
 
 class Strategy(Protocol):

@@ -101,6 +101,8 @@ class LapStrategy:
         left = None
         if self._finished_at_m is not None:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
+        if racing is not None:
+            course = replace(course, slip_radpmps2=racing.slip_radpmps2)
         return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
 
     def _clear_of_false(self, cones: Cones, sure_xy_m: Floats, seen_xy_m: Floats) -> tuple[float, str]:

@@ -17,7 +17,7 @@ from fsai_vcu.core.planning.lap_strategy import LapStrategy
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.planning.skidpad_strategy import SkidpadStrategy
 from fsai_vcu.core.vehicle.odometry import motion_at, slipped
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
 COURSE_FIELDS = Course.__struct_fields__
@@ -51,6 +51,7 @@ class Planner:
         self._evidence = Evidence(self._car.least_radius_m)
         self._last: Motion | None = None  # as odometry has it …
         self._place = Motion()  # … and, in laps, with what the tyres slipped sideways
+        self._slip_radpmps2 = SLIP_RADPMPS2
         self._anchor_due = False  # at the next observation: the car stands there for 3 s
 
     def on_run(self, run: Run) -> None:
@@ -76,7 +77,7 @@ class Planner:
         if self._last is None or not isinstance(self._strategy, LapStrategy):
             self._place = there
         else:
-            self._place = slipped(self._place, self._last, there)
+            self._place = slipped(self._place, self._last, there, self._slip_radpmps2)
         self._last, there = there, self._place
         if self._strategy is None:
             return None
@@ -87,6 +88,7 @@ class Planner:
         xy, color = believable(obs, self._settings)
         self._memory.add(xy, color, there)
         course = self._evidence.judged(self._strategy.plan(self._memory, xy, there), there)
+        self._slip_radpmps2 = course.slip_radpmps2
         course = replace(course, confidence=min(course.confidence, 1.0 - DOUBT_BY_CONES * self._memory.doubt))
         return Plan(
             t_sensor_ns=obs.t_ns,

@@ -49,6 +49,7 @@ class Racing:
         self._passages: list[LapState] = []  # the states right after the line was passed
         self._search: LineSearch | None = None
         self._line: RaceLine | None = None
+        self._next_line: RaceLine | None = None  # laid again: it follows once the car can come onto it
         self._joined_at: int | None = None
         self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
         self._steady = 0
@@ -65,6 +66,11 @@ class Racing:
     def confidence(self) -> float:
         """Degree to which the cones seen lately confirm the map, 0…1."""
         return self._map.fit
+
+    @property
+    def slip_radpmps2(self) -> float:
+        """The rear axle's slip angle by lateral acceleration, as the map has shown it."""
+        return self._map.slip.radpmps2
 
     def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:
         """Take in the cones seen (vehicle frame). Returns the car's motion in the map frame."""
@@ -107,7 +113,7 @@ class Racing:
 
         `cones_xy_m`: what was lately seen to stand around the car (vehicle frame): it outranks the map.
         """
-        self._look_for_line()
+        self._look_for_line(here)
         path, self.note = self._along_line(cones_xy_m, here)
         if self.note:
             self._joined_at, self._steady = None, 0
@@ -122,13 +128,21 @@ class Racing:
         at = np.arange(first, first + round((BACKWARD_M + MIDDLE_M) / line.step_m)) % len(line.xy_m)
         return line.path(first, BACKWARD_M + MIDDLE_M, 0.5 * (line.left_m - line.right_m)[at], here)
 
-    def _look_for_line(self) -> None:
+    def _look_for_line(self, here: Motion) -> None:
         """A share of the work on the line, where the map has changed since it was last worked out."""
         if self._search is None and self._map.closed and self._map.changed:
             self._search = LineSearch(self._map.lap_xy_m, self._map.take(), self._car, self._settings.path_step_m)
         line = self._search.advance() if self._search is not None else None
         if line is not None:
-            self._line, self._search, self._joined_at = line, None, None
+            self._next_line, self._search = line, None
+        following = self._next_line
+        if following is None:
+            return
+        if self._joined_at is not None:
+            index, left_m, turned_rad = following.beside(here)
+            if following.beyond_m(index, way_onto(following, index, left_m, turned_rad, here)) > BEYOND_M:
+                return  # the car stays on the line that it is on
+        self._line, self._next_line, self._joined_at = following, None, None
 
     def _along_line(self, cones_xy_m: Floats, here: Motion) -> tuple[Floats, str]:
         """The path, and why there is none where it must not be used."""

@@ -224,7 +224,7 @@ def motion_at(motion: Motion, t_ns: int) -> Motion:
     )
 
 
-def slipped(place: Motion, last: Motion, motion: Motion) -> Motion:
+def slipped(place: Motion, last: Motion, motion: Motion, slip_radpmps2: float = SLIP_RADPMPS2) -> Motion:
     """The motion where the car really is: from `place` on, where it was at `last`, as odometry went from there.
 
     Odometry moves the car to where it points. In a corner the rear axle moves further outward, by its slip angle: at
@@ -233,7 +233,7 @@ def slipped(place: Motion, last: Motion, motion: Motion) -> Motion:
     dx, dy = motion.x_m - last.x_m, motion.y_m - last.y_m
     # A wild reading must not throw the car further than tyres can slip.
     lateral_mps2 = min(max(motion.speed_mps * motion.yaw_rate_radps, -GRAVITY_MPS2), GRAVITY_MPS2)
-    right_m = SLIP_RADPMPS2 * lateral_mps2 * (motion.distance_m - last.distance_m)
+    right_m = slip_radpmps2 * lateral_mps2 * (motion.distance_m - last.distance_m)
     yaw = last.yaw_rad + 0.5 * math.remainder(motion.yaw_rad - last.yaw_rad, 2.0 * math.pi)
     return replace(motion, x_m=place.x_m + dx + right_m * math.sin(yaw), y_m=place.y_m + dy - right_m * math.cos(yaw))
 

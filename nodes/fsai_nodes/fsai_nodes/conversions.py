@@ -22,6 +22,7 @@ from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import GpsImu, Image
 from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
@@ -101,6 +102,7 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
         supported_m=float(plan.supported_m) if math.isfinite(plan.supported_m) else 0.0,
         confidence=float(plan.confidence),
         mapped=bool(plan.mapped),
+        slip_radpmps2=float(plan.slip_radpmps2),
         note=plan.note,
     )
     status.header.stamp = stamp
@@ -125,6 +127,7 @@ def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan:
         confidence=status.confidence,
         mapped=status.mapped,
         note=status.note,
+        slip_radpmps2=status.slip_radpmps2 or SLIP_RADPMPS2,
     )
 
 

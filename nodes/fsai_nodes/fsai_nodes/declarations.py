@@ -84,6 +84,7 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             supported_m=Number(0.0, 1e6),
             confidence=_SHARE,
             mapped=FREE,
+            slip_radpmps2=Number(0.0, 0.1),
             note=_NOTE,
             late=_NOTE,
         ),
