@@ -53,9 +53,9 @@ def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> 
     notes = [one for one in verdict.findings if one.severity != "problem"]
     if args.timeline:
         others += notes
-    text = (*replace(verdict, findings=tuple(others)).lines(), f"verdict: {verdict.line()}")
+    more = f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)"
+    problems = replace(verdict, findings=tuple(others)).lines()
+    text = (*([] if args.timeline else [more]), *problems, f"verdict: {verdict.line()}")
     for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
-    if not (args.timeline or args.json):
-        print(f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)")
     return verdict.status

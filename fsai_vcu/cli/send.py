@@ -19,9 +19,9 @@ from fsai_vcu.runtime.bus import BusLost, CanBus, open_bus
 from fsai_vcu.runtime.lock import InterfaceLock
 
 EXAMPLE = (
-    "fsai-vcu send vcan0 AI2VCU_Steer STEER_REQUEST=5 --as-ai\n"
+    "fsai-vcu send AI2VCU_Steer STEER_REQUEST=5 --as-ai --dry-run\n"
     "  fsai-vcu send can0 BenchLamp COLOUR=RED --dbc bench.dbc --count 10 --period 100\n"
-    "  fsai-vcu send AI2VCU_Steer STEER_REQUEST=5 --as-ai --dry-run"
+    "  fsai-vcu send vcan0 AI2VCU_Steer STEER_REQUEST=5 --as-ai"
 )
 ABOUT = """\
 Signals that are not named get the database's initial value, or 0; where 0 is

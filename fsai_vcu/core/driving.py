@@ -10,7 +10,6 @@ import math
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
 
@@ -82,8 +81,9 @@ class Plan(Value, frozen=True):
     yet); `finished` says the mission's last line has been crossed. `supported_m` is the length of path from the car on
     that cones or a map bear out, `confidence` (0…1) how sure the planner is of it; `mapped` says that the path follows
     a map closed over a whole lap; `slip_radpmps2` is the slip angle of the rear axle by lateral acceleration, as that
-    map has shown it; `note` says in words why there is no path, or why it is doubted. A planner that does
-    not know where the lane is says so by a note that begins with `LOST`: its path is the way to a stop at once.
+    map has shown it (0: it has not yet); `note` says in words why there is no path, or why it is doubted. A planner
+    that does not know where the lane is says so by a note that begins with `LOST`: its path is the way to a stop at
+    once.
     """
 
     t_sensor_ns: int
@@ -99,7 +99,7 @@ class Plan(Value, frozen=True):
     confidence: float = 1.0
     mapped: bool = False
     note: str = ""
-    slip_radpmps2: float = SLIP_RADPMPS2
+    slip_radpmps2: float = 0.0
 
     @property
     def lost(self) -> bool:

@@ -67,7 +67,11 @@ USES = [
     ("send no0 513#3200", 2, "'513#3200' is a raw frame, for cansend; here: AI2VCU_Steer STEER_REQUEST=…"),
     ("send no0 7FF#00", 2, "'7FF#00' is a raw frame, for cansend; here: send takes BUS MESSAGE SIGNAL=VALUE, and "),
     ("send no0", 1, "no message 'no0'; send takes BUS MESSAGE SIGNAL=VALUE, and fsai-vcu dbc show lists"),
-    ("send", 2, "are required: MESSAGE, SIGNAL=VALUE, as in fsai-vcu send vcan0 AI2VCU_Steer STEER_REQUEST=5 --as-ai"),
+    (
+        "send",
+        2,
+        "are required: MESSAGE, SIGNAL=VALUE, as in fsai-vcu send AI2VCU_Steer STEER_REQUEST=5 --as-ai --dr",
+    ),
     ("replay", 2, "are required: LOG[,FILTER…], as in fsai-vcu replay run.log vcan0 "),
     ("mode", 2, "are required: autonomous|manual, as in fsai-vcu mode autonomous"),
     # ---------------------------------------------------------------- databases and dumps

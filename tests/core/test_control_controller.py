@@ -15,18 +15,25 @@ from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.car_signals import Actuation
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import FEEL_ITS_WAY_MPS, Controller
-from fsai_vcu.core.control.pace import LEARNT_M
+from fsai_vcu.core.control.pace import Pace
 from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import CLEAR_OVER_M, LOOK_S
-from fsai_vcu.core.control.speed_profile import speed_profile
+from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.pose import resampled
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.supervision.gate import constant_power_nm
 from fsai_vcu.core.vehicle.forces import brake_for
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import (
+    ADS_DV_2021,
+    ADS_DV_2026,
+    CARS,
+    SLIP_LEAST_RADPMPS2,
+    SLIP_MOST_RADPMPS2,
+    VehicleParameters,
+)
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import MS
 
@@ -716,7 +723,7 @@ def test_a_map_lost_in_a_corner_leaves_grip_for_the_corner() -> None:
         ask(plan_of(arc(20.0, 60.0), mapped=True), speed, controller, now_ns=t_ms * 1_000_000)
     brake = ask(plan_of(arc(20.0, 60.0)), speed, controller, now_ns=60_000_000).brake
     sideways = speed**2 / 20.0 / SETTINGS.race_lateral_mps2
-    most = SETTINGS.braking_max_mps2 * max(math.sqrt(max(1.0 - sideways**2, 0.0)), 0.2)
+    most = max(SETTINGS.braking_max_mps2 * braking_share(sideways), 1.2)
     assert 0.0 < brake * CAR.brake_full_mps2 <= 1.2 * most + 0.13 * CAR.brake_full_mps2
 
 
@@ -740,8 +747,38 @@ def test_tyres_that_slip_less_are_asked_for_more() -> None:
     assert raced_speed(0.008) > 1.05 * raced_speed(0.0112) > 1.08 * raced_speed(0.014)
 
 
-def test_no_more_is_asked_before_the_slip_is_learnt() -> None:
-    assert raced_speed(0.008, LEARNT_M) == raced_speed(0.0112, LEARNT_M)
+def test_no_more_is_asked_where_the_slip_is_not_measured() -> None:
+    assert raced_speed(0.0) == pytest.approx(raced_speed(0.0112), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("said", "believed"), [(1e-300, SLIP_LEAST_RADPMPS2), (0.5, SLIP_MOST_RADPMPS2), (math.inf, SLIP_MOST_RADPMPS2)]
+)
+def test_a_slip_beyond_what_tyres_do_is_not_believed(said: float, believed: float) -> None:
+    assert raced_speed(said) == raced_speed(believed)
+
+
+@pytest.mark.parametrize("trouble", [None, plan_of(np.zeros((0, 2)))], ids=["no plan", "no path"])
+def test_a_path_that_is_lost_takes_the_pace_back(trouble: Plan | None) -> None:
+    controller = reset_for(RUN)
+    controller._pace = Pace(1.2)
+    ask(trouble, 8.0, controller)
+    assert controller._pace.gain == 1.0
+
+
+@pytest.mark.parametrize("speed", [12.2, 13.0])
+def test_a_car_too_fast_for_its_corner_brakes(speed: float) -> None:
+    controller = reset_for(RUN)
+    for t_ms in range(0, 600, 20):
+        command = ask(plan_of(arc(20.0, 60.0)), speed, controller, now_ns=t_ms * MS)
+    assert command.brake > 0.0 and command.throttle == 0.0
+
+
+def test_braking_near_the_limit_leaves_the_rear_axle_its_grip() -> None:
+    assert braking_share(0.0) == 1.0
+    assert braking_share(0.5) == pytest.approx(math.sqrt(0.75))
+    assert braking_share(0.95) == pytest.approx(0.2) and braking_share(0.9) == pytest.approx(0.4)
+    assert braking_share(1.3) == braking_share(1.0) == 0.05
 
 
 def test_off_the_map_slip_changes_no_speed() -> None:

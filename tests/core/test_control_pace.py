@@ -11,7 +11,6 @@ from msgspec.structs import replace
 from fsai_vcu.core.control.pace import (
     ANGLE_RAD,
     GROWS_1PM,
-    LEARNT_M,
     LEAST,
     LOST_M,
     MOST,
@@ -42,9 +41,13 @@ def test_the_pace_becomes_what_makes_the_slip_aimed_at(share: float, gain: float
     assert raced(1000, share).gain == pytest.approx(gain)
 
 
-def test_the_pace_grows_only_once_the_slip_is_learnt() -> None:
-    assert raced(round(LEARNT_M), 0.5).gain == 1.0
-    assert raced(round(LEARNT_M) + 100, 0.5).gain == pytest.approx(1.0 + 100 * GROWS_1PM)
+def test_the_pace_grows_only_where_the_slip_is_measured() -> None:
+    assert raced(100, 0.5).gain == pytest.approx(1.0 + 100 * GROWS_1PM)
+    assert raced(1000, 0.0).gain == 1.0
+
+
+def test_a_slip_no_longer_measured_takes_the_pace_back() -> None:
+    assert raced(1000, 0.0, raced(1000, 0.5)).gain == 1.0
 
 
 def test_the_pace_sinks_faster_than_it_grows() -> None:

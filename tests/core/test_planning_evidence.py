@@ -14,7 +14,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of, most_aside_m
-from fsai_vcu.core.planning.lap_strategy import free_of_cones, unmistaken, within_borders
+from fsai_vcu.core.planning.lap_strategy import MISTAKEN_MOST, free_of_cones, unmistaken, within_borders
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.planning.pose import to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -243,6 +243,15 @@ def test_a_few_colours_that_the_lane_contradicts_are_mistaken(wrong: tuple[int, 
     side = LEFT_OR_RIGHT.copy()
     side[list(wrong)] *= -1.0
     assert np.flatnonzero(unmistaken(side, 0.3 * LEFT_OR_RIGHT) == 0.0).tolist() == list(left)
+
+
+def test_a_lane_that_many_colours_contradict_crosses_a_border() -> None:
+    along = np.arange(-10.0, 20.0, 3.0)
+    xy = np.vstack((np.column_stack((along, np.full(10, 1.5))), np.column_stack((along, np.full(10, -1.5)))))
+    side = np.repeat([1.0, -1.0], 10)
+    stands = np.sign(xy[:, 1] - np.interp(xy[:, 0], ASTRAY.path_m[:, 0], ASTRAY.path_m[:, 1]))
+    assert np.count_nonzero(stands != side) > MISTAKEN_MOST
+    assert within_borders(ASTRAY, xy, unmistaken(side, stands)) == CROSSES
 
 
 @pytest.mark.parametrize(("spacing_m", "wrong"), [(5.0, (5, 6)), (5.0, (6, 7)), (4.0, (8, 9)), (3.0, (12, 13))])

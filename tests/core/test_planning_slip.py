@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from fsai_vcu.core.planning.slip import CORNER_MPS2, LEAST, LEFT_MOST_M, MOST, WAY_MOST_M, Slip
-from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
+from fsai_vcu.core.planning.slip import CORNER_MPS2, LEARNT_M, LEFT_MOST_M, WAY_MOST_M, Slip
+from fsai_vcu.core.vehicle.parameters import SLIP_LEAST_RADPMPS2, SLIP_MOST_RADPMPS2, SLIP_RADPMPS2
 
 
 def cornered(true_radpmps2: float, lateral_mps2: float, share_seen: float = 1.0, way_m: float = 600.0) -> float:
@@ -47,4 +47,12 @@ def test_a_look_that_tells_nothing_changes_nothing(look: tuple[float, float, flo
 
 
 def test_no_slip_is_beyond_what_tyres_do() -> None:
-    assert cornered(0.04, 7.0) == MOST and cornered(0.001, 7.0) == LEAST
+    assert cornered(0.04, 7.0) == SLIP_MOST_RADPMPS2 and cornered(0.001, 7.0) == SLIP_LEAST_RADPMPS2
+
+
+def test_slip_is_measured_once_enough_corners_have_told_it() -> None:
+    slip = Slip()
+    for _ in range(round(LEARNT_M) - 1):
+        slip = slip.after(1.0, 7.0, 0.0).after(1.0, 0.0, 0.0)
+    assert slip.measured_radpmps2 == 0.0
+    assert slip.after(1.0, 7.0, 0.0).measured_radpmps2 == slip.radpmps2

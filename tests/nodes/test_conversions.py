@@ -19,7 +19,7 @@ from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.vehicle.parameters import CARS, SLIP_RADPMPS2
+from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import (
@@ -76,12 +76,6 @@ def test_a_plan_comes_back_as_it_was(stop_distance_m: float | None) -> None:
         assert getattr(back, name) == getattr(plan, name), name
     for name in ("supported_m", "confidence", "mapped", "note", "slip_radpmps2"):
         assert getattr(back, name) == getattr(plan, name), name
-
-
-def test_a_slip_that_was_not_measured_is_the_one_assumed() -> None:
-    status, path = to.plan_to_msgs(Plan(7, 3, Ami.TRACKDRIVE, np.zeros((0, 2))), STAMP)
-    status.slip_radpmps2 = 0.0
-    assert to.plan_from_msgs(status, path, 7).slip_radpmps2 == SLIP_RADPMPS2
 
 
 def test_the_poses_of_a_path_look_along_it() -> None:

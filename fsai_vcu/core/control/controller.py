@@ -29,7 +29,12 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import InspectionState, advance_inspection, inspection_of
 from fsai_vcu.core.vehicle.forces import brake_for, most_mps2, throttle_for
 from fsai_vcu.core.vehicle.odometry import CARRIED_NS, MotionHistory, motion_at
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.core.vehicle.parameters import (
+    SLIP_LEAST_RADPMPS2,
+    SLIP_MOST_RADPMPS2,
+    SLIP_RADPMPS2,
+    VehicleParameters,
+)
 from fsai_vcu.interface.enums import Ami
 
 WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO})
@@ -50,6 +55,8 @@ STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
 PREDICTED_IN = 5  # steps
 STEERED_KEPT = 50  # commands: half a second at 100 Hz
 LONGEST_STEP_S = 0.1  # between two commands; a longer one counts as this
+TAKEN_BACK = 0.02  # of the pace at once: trouble, and no slow change
+BEYOND_GRIP_MPS2 = 1.2  # braked with where the path asks for all the grip that there is, or more
 LEAST_BRAKE = 0.005  # the request's resolution: the brake makes its own least of it
 
 
@@ -274,9 +281,12 @@ class Controller:
             return self._no_way(
                 speed, f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else "")
             )
-        angle_rad = plan.slip_radpmps2 * settings.race_lateral_mps2
+        angle_rad = slip_of(plan) * settings.race_lateral_mps2 if plan.slip_radpmps2 > 0.0 else 0.0
         sure = plan.mapped and plan.confidence >= settings.confidence_sure
-        self._pace = self._pace.after(Shown(motion.distance_m, left, self._axle_slip, angle_rad, sure))
+        pace = self._pace.after(Shown(motion.distance_m, left, self._axle_slip, angle_rad, sure))
+        if pace.gain < self._pace.gain - TAKEN_BACK:
+            self._planned = None  # the next cycle's profile is of the new pace
+        self._pace = pace
         curvature = math.tan(self._steered[-1][1]) / self._car.wheelbase_m
         self._steer(curvature, steering_rate(line, station, left, course, curvature, speed), now_ns)
         if self._ending_since_ns is not None:
@@ -361,14 +371,14 @@ class Controller:
         All are in the vehicle frame of `there`. The steering has been told what the car will do until then. Tyres slip,
         so the axle moves further outward than the car points.
         """
-        delay_s = self._settings.delay_s + plan.slip_radpmps2 * motion.speed_mps  # the tyres' answer, too
+        delay_s = self._settings.delay_s + slip_of(plan) * motion.speed_mps  # the tyres' answer, too
         t_s = min(now_ns - motion.t_ns, CARRIED_NS) / 1e9 + delay_s
         steps = np.arange(PREDICTED_IN) + 0.5
         asked = np.array(self._steered)
         told_s = motion.t_ns / 1e9 - delay_s + steps * t_s / PREDICTED_IN
         speed, way = motion.speed_mps, motion.speed_mps * t_s / PREDICTED_IN
         turns = way * np.tan(np.interp(told_s, asked[:, 0], asked[:, 1])) / self._car.wheelbase_m
-        slip = plan.slip_radpmps2 * speed * motion.yaw_rate_radps
+        slip = slip_of(plan) * speed * motion.yaw_rate_radps
         course = motion.yaw_rad - there.yaw_rad - slip
         courses = course + turns.cumsum() - 0.5 * turns
         dx, dy = motion.x_m - there.x_m, motion.y_m - there.y_m
@@ -408,7 +418,8 @@ class Controller:
         # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
         most_braking = settings.sight_braking_max_mps2 if self._sight_end_m < math.inf else settings.braking_max_mps2
-        hardest = most_braking * braking_share(speed * speed * curvature / self._grip_mps2(mapped=True, known=True)[0])
+        share = braking_share(speed * speed * curvature / self._grip_mps2(mapped=True, known=True)[0])
+        hardest = max(most_braking * share, BEYOND_GRIP_MPS2)
         wanted = min(max(min(wanted, self._for_sight(here_m, speed)), -hardest), most)
         if self._accelerated_ns is not None:
             change = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
@@ -430,9 +441,17 @@ class Controller:
     def _no_way(self, speed: float, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
         self._braking, self._note = True, why
+        self._pace = self._pace.taken_back(self._pace.distance_m)
         self._acceleration_mps2 = 0.0
         ending = self._ending_since_ns is not None
         return 0.0, self._end_brake(speed) if ending else self._settings.gentle_brake
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)
+
+
+def slip_of(plan: Plan) -> float:
+    """Return the slip angle of the rear axle by lateral acceleration: as measured, within what tyres do; or assumed."""
+    if not plan.slip_radpmps2 > 0.0:
+        return SLIP_RADPMPS2
+    return min(max(plan.slip_radpmps2, SLIP_LEAST_RADPMPS2), SLIP_MOST_RADPMPS2)

@@ -4,16 +4,18 @@ Tyres near their grip slip more for the same force, and so do tyres with less gr
 slip angle by lateral acceleration in the map; the pace is what makes that angle, in corners, the one aimed at. It grows
 slowly, sinks fast, and is taken back whole, at once, where the car is far beside its path, an axle slips, the cones
 seen hardly confirm the map, or the path does not follow one. A pace at which the car lost its path is not taken again.
+Until the slip is measured, the pace is what the settings ask.
 """
 
 from __future__ import annotations
+
+from msgspec.structs import replace
 
 from fsai_vcu.interface.values import Value
 
 ANGLE_RAD = 0.084  # of the rear axle's slip in a corner: beyond about the double no tyre holds more
 LEAST, MOST = 0.85, 1.2  # of the settings' grip
 GROWS_1PM, SINKS_1PM = 0.0005, 0.003  # a tenth in 200 m
-LEARNT_M = 100.0  # of way along the map, after which the slip measured is the car's own
 STEP = 0.1  # of the settings' grip: so much less than when the path was lost
 LOST_M = 0.45  # beside the path
 SLIPPING = 0.2  # axle_slip of tyres that hold is some hundredths, and 0.13 with the steering at its end
@@ -25,7 +27,7 @@ class Shown(Value, frozen=True):
     distance_m: float
     aside_m: float  # from the path, to either side
     axle_slip: float  # see `axle_slip`
-    angle_rad: float  # of the rear axle's slip, at the lateral acceleration that the settings ask for
+    angle_rad: float  # of the rear axle's slip, at the lateral acceleration that the settings ask for; 0: not measured
     sure: bool  # the path follows the map, and the cones seen confirm it
 
 
@@ -35,23 +37,22 @@ class Pace(Value, frozen=True):
     gain: float = 1.0
     most: float = MOST
     distance_m: float = 0.0
-    raced_m: float = 0.0  # of way along the map, in this run
 
     def after(self, shown: Shown) -> Pace:
         """The pace once the car has shown this."""
-        at_m, raced_m = shown.distance_m, self.raced_m
-        least = min(self.gain, 1.0)
         if not shown.sure:
-            return Pace(least, self.most, at_m, raced_m)
+            return self.taken_back(shown.distance_m)
         if not (abs(shown.aside_m) <= LOST_M and shown.axle_slip <= SLIPPING):
             most = max(1.0, self.gain - STEP) if self.gain > 1.0 else self.most
-            return Pace(least, most, at_m, raced_m)
-        way_m = max(at_m - self.distance_m, 0.0)
-        raced_m += way_m
-        grows_1pm = GROWS_1PM if raced_m > LEARNT_M else 0.0
-        wanted = min(max(ANGLE_RAD / shown.angle_rad, LEAST), self.most)
-        gain = min(max(wanted, self.gain - SINKS_1PM * way_m), self.gain + grows_1pm * way_m)
-        return Pace(gain, self.most, at_m, raced_m)
+            return replace(self.taken_back(shown.distance_m), most=most)
+        way_m = max(shown.distance_m - self.distance_m, 0.0)
+        wanted = min(max(ANGLE_RAD / shown.angle_rad, LEAST), self.most) if shown.angle_rad > 0.0 else 1.0
+        gain = min(max(wanted, self.gain - SINKS_1PM * way_m), self.gain + GROWS_1PM * way_m)
+        return Pace(gain, self.most, shown.distance_m)
+
+    def taken_back(self, distance_m: float) -> Pace:
+        """The pace of a car that has lost its way by the map there."""
+        return Pace(min(self.gain, 1.0), self.most, distance_m)
 
 
 def axle_slip(wheel_speeds_rpm: tuple[float, float, float, float]) -> float:

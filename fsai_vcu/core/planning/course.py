@@ -13,7 +13,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import LOST, Motion
 from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
-from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
+from fsai_vcu.core.planning.slip import Slip
 from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
 
@@ -48,7 +48,7 @@ FIT_NONE, FIT_ALL = 0.3, 0.7  # share of cones that fit anywhere by chance, and 
 
 
 class Course(Value, frozen=True):
-    """The way on from the car. Fields as in `Plan`, which carries them to the controller."""
+    """The way on from the car. Fields as in `Plan`, which carries them to the controller, and `slip` as measured."""
 
     path_m: Floats  # (M, 2) vehicle frame
     laps: int = 0
@@ -58,7 +58,7 @@ class Course(Value, frozen=True):
     confidence: float = 1.0
     mapped: bool = False
     note: str = ""
-    slip_radpmps2: float = SLIP_RADPMPS2
+    slip: Slip = Slip()
 
 
 class Strategy(Protocol):

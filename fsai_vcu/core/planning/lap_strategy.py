@@ -31,8 +31,8 @@ KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence with
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
 BORDER_APART_M = 5.0  # … at most so far apart
-# Cones that the lane has so surely on its other side have a wrong colour, if they are no more than such a share.
-CONTRARY, MISTAKEN_SHARE = 0.1, 0.2
+# Cones that the lane has so surely on its other side have a wrong colour, if they are so few and such a share of all.
+CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
@@ -102,7 +102,7 @@ class LapStrategy:
         if self._finished_at_m is not None:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
         if racing is not None:
-            course = replace(course, slip_radpmps2=racing.slip_radpmps2)
+            course = replace(course, slip=racing.slip)
         return replace(course, laps=self._state.laps, finished=left is not None, stop_distance_m=left)
 
     def _clear_of_false(self, cones: Cones, sure_xy_m: Floats, seen_xy_m: Floats) -> tuple[float, str]:
@@ -202,7 +202,7 @@ def unmistaken(side: Floats, stands: Floats) -> Floats:
     own. stands: (N,) side on which the lane has them, +1 certainly on its left … -1 certainly on its right.
     """
     contrary = side * stands < -CONTRARY
-    if np.count_nonzero(contrary) > MISTAKEN_SHARE * np.count_nonzero(np.abs(stands) > CONTRARY):
+    if np.count_nonzero(contrary) > min(MISTAKEN_MOST, MISTAKEN_SHARE * np.count_nonzero(np.abs(stands) > CONTRARY)):
         return side
     known: Floats = np.where(contrary, 0.0, side)
     return known

@@ -20,7 +20,7 @@ from fsai_vcu.core.vehicle.odometry import motion_at, slipped
 from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
-COURSE_FIELDS = Course.__struct_fields__
+COURSE_FIELDS = tuple(name for name in Course.__struct_fields__ if name != "slip")
 DOUBT_BY_CONES = 0.2  # of confidence at most is lost to cones that are none or displaced: no reason to stop
 
 
@@ -88,12 +88,13 @@ class Planner:
         xy, color = believable(obs, self._settings)
         self._memory.add(xy, color, there)
         course = self._evidence.judged(self._strategy.plan(self._memory, xy, there), there)
-        self._slip_radpmps2 = course.slip_radpmps2
+        self._slip_radpmps2 = course.slip.radpmps2
         course = replace(course, confidence=min(course.confidence, 1.0 - DOUBT_BY_CONES * self._memory.doubt))
         return Plan(
             t_sensor_ns=obs.t_ns,
             run_id=self._run.run_id,
             mission=self._run.mission,
+            slip_radpmps2=course.slip.measured_radpmps2,
             **{name: getattr(course, name) for name in COURSE_FIELDS},
             cones_count_actual=len(xy),
             cones_count_all=self._memory.total,

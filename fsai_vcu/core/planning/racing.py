@@ -15,6 +15,7 @@ from fsai_vcu.core.planning.lane import BACKWARD_M
 from fsai_vcu.core.planning.pose import NO_PATH, to_odometry
 from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
 from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.core.planning.slip import Slip
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
 HORIZON_M = 70.0  # of the path handed on
@@ -68,9 +69,9 @@ class Racing:
         return self._map.fit
 
     @property
-    def slip_radpmps2(self) -> float:
-        """The rear axle's slip angle by lateral acceleration, as the map has shown it."""
-        return self._map.slip.radpmps2
+    def slip(self) -> Slip:
+        """The slip of the rear axle, as the map has shown it."""
+        return self._map.slip
 
     def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:
         """Take in the cones seen (vehicle frame). Returns the car's motion in the map frame."""

@@ -12,7 +12,8 @@ from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_
 from fsai_vcu.interface.values import Value
 
 GRAVITY_MPS2 = 9.81
-SLIP_RADPMPS2 = 0.009  # slip angle of a rear axle that holds the car in a corner, by its lateral acceleration
+SLIP_RADPMPS2 = 0.009  # slip angle of a rear axle that holds the car in a corner, by its lateral acceleration …
+SLIP_LEAST_RADPMPS2, SLIP_MOST_RADPMPS2 = 0.5 * SLIP_RADPMPS2, 2.5 * SLIP_RADPMPS2  # … of tyres and roads that differ
 
 
 class VehicleParameters(Value, frozen=True):

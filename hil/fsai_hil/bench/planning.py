@@ -5,7 +5,7 @@ planner remembers cones between looks, as on the car. A look fails if there is n
 the path's first 10 m bring the 1.43 m wide car onto the line of cones. The error is the distance of those 10 m from the
 middle, for a car without a nose (for the car's own sweep the planner moves the path inward in bends). A car beside the
 middle begins its path there, so its first 3 m do not count. A planner that is lost is counted, and begins again there
-like one of a car that has stopped.
+like one of a car that has stopped; that look is judged by what it finds then.
 
 A track is built in, generated, or a file, with its middle in NAME_midline.csv beside it, if there is one.
 Times are processor time of the planner's call.
@@ -18,6 +18,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -277,9 +278,16 @@ def document(rows: Sequence[LaneFigures]) -> str:
         mine = [row for row in rows if row.track.startswith("generated-") == made]
         if mine:
             names = list(dict.fromkeys(row.track for row in mine))
-            named = f"{names[0]} to {names[-1]}" if made else ", ".join(names)
+            named = ", ".join(named_together(names)) if made else ", ".join(names)
             parts += [f"## {title}", f"{len(names)}: {named}.", table_of(mine)]
     return "\n\n".join(parts) + "\n"
+
+
+def named_together(names: Sequence[str]) -> Iterator[str]:
+    """Yield `generated-1 to generated-50` for the generated circuits of each style, which stand beside each other."""
+    for _, group in groupby(names, key=lambda name: name.partition("-")[2].partition("-")[2]):
+        first, *others = group
+        yield f"{first} to {others[-1]}" if others else first
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

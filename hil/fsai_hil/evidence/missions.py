@@ -54,7 +54,9 @@ CONDITIONS: Final[Mapping[str, Sensing]] = {
     "noise": Sensing("0.1 m of noise, near and far", SensorSettings(noise_m=0.1, noise_per_m=0.0)),
     "missing": Sensing("10 % of the cones missing in each look, near and far", SensorSettings(miss_near=0.1)),
     "colourless": Sensing("no colours: all cones UNKNOWN", SensorSettings(colours=False)),
-    "mistaken": Sensing("5 % of the cones have the other border's colour in each look", SensorSettings(mistaken=0.05)),
+    "mistaken": Sensing(
+        "the same 5 % of the cones have the other border's colour in every look", SensorSettings(mistaken=0.05)
+    ),
     "clutter": Sensing("a false cone in each look, and no threshold", SensorSettings(false_per_scan=1.0), 0.0),
     "hard": Sensing(
         "by the seed, range 6 to 15 m, view 60 to 180 deg, 0 to 4 false cones a look as sure as true ones, colours or"

@@ -22,7 +22,6 @@ from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
-from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import GpsImu, Image
 from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
@@ -127,7 +126,7 @@ def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan:
         confidence=status.confidence,
         mapped=status.mapped,
         note=status.note,
-        slip_radpmps2=status.slip_radpmps2 or SLIP_RADPMPS2,
+        slip_radpmps2=status.slip_radpmps2,
     )
 
 

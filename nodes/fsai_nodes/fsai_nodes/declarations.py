@@ -15,6 +15,7 @@ from typing import Any
 from fsai_nodes.fields import FREE, UNREAD, Number, Parts, Several, Text, Whole
 from fsai_nodes.mission_goal import GOALS, MISSIONS
 from fsai_vcu.core.supervision.supervisor import ROLES
+from fsai_vcu.core.vehicle.parameters import SLIP_MOST_RADPMPS2
 from fsai_vcu.interface.enums import Ami, AsState
 
 MOST_BYTES = 64 * 1024  # of a message; a larger one is refused before it is unpacked
@@ -84,7 +85,7 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             supported_m=Number(0.0, 1e6),
             confidence=_SHARE,
             mapped=FREE,
-            slip_radpmps2=Number(0.0, 0.1),
+            slip_radpmps2=Number(0.0, SLIP_MOST_RADPMPS2),
             note=_NOTE,
             late=_NOTE,
         ),
