@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 
 from fsai_vcu.cli.decoding import Decoding
@@ -46,16 +45,16 @@ def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> 
     verdict, shown = found.verdict, found.verdict.explanation
     told = {(incident.kind.slug, incident.t_ns) for incident in shown.incidents}
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    text: Iterable[str] = text_lines(shown, sources.name, timeline=args.timeline, colour=colour)
-    for line in json_lines(shown, sources.name) if args.json else text:
+    story = list(text_lines(shown, sources.name, timeline=args.timeline, colour=colour))
+    if not args.timeline:
+        story.insert(-1, f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)")
+    for line in json_lines(shown, sources.name) if args.json else story:
         print(line)
     others = [one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told]
     notes = [one for one in verdict.findings if one.severity != "problem"]
     if args.timeline:
         others += notes
-    more = f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)"
-    problems = replace(verdict, findings=tuple(others)).lines()
-    text = (*([] if args.timeline else [more]), *problems, f"verdict: {verdict.line()}")
+    text = (*replace(verdict, findings=tuple(others)).lines(), f"verdict: {verdict.line()}")
     for line in map(json.dumps, verdict.as_dicts()) if args.json else text:
         print(line)
     return verdict.status
