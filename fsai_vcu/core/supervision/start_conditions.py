@@ -365,9 +365,10 @@ def why_not_driving(moment: Moment) -> Iterator[Obstacle]:
 
 
 def _for_go(moment: Moment, status: VcuStatus) -> Iterator[Obstacle]:
-    waits = moment.waited_ns is not None and moment.waited_ns < READY_WAIT_NS
-    if moment.waited_ns is not None and waits:
-        left_s = (READY_WAIT_NS - moment.waited_ns) / S
+    waited_ns = READY_WAIT_NS if moment.waited_ns is None else moment.waited_ns
+    waits = waited_ns < READY_WAIT_NS
+    if waits:
+        left_s = (READY_WAIT_NS - waited_ns) / S
         yield Obstacle("ready_wait", f"waiting in AS_READY: {left_s:.1f} s of {READY_WAIT_NS // S} s left")
     yield _waiting("go_held" if status.go_signal else "no_go", follows=waits)
 
