@@ -762,8 +762,8 @@ def test_a_slip_beyond_what_tyres_do_is_not_believed(said: float, believed: floa
 def test_a_path_that_is_lost_takes_the_pace_back(trouble: Plan | None) -> None:
     controller = reset_for(RUN)
     controller._pace = Pace(1.2)
-    ask(trouble, 8.0, controller)
-    assert controller._pace.gain == 1.0
+    ask(trouble, controller=controller, motion=Motion(speed_mps=8.0, distance_m=500.0))
+    assert controller._pace == Pace(1.0, distance_m=500.0), "way without a path is none raced"
 
 
 @pytest.mark.parametrize("speed", [12.2, 13.0])

@@ -17,11 +17,11 @@ from fsai_vcu.core.control.pace import (
     SLIPPING,
     STEP,
     Pace,
-    Shown,
+    Signs,
     axle_slip,
 )
 
-WELL = Shown(distance_m=0.0, aside_m=0.1, axle_slip=0.02, angle_rad=ANGLE_RAD, sure=True)
+WELL = Signs(distance_m=0.0, aside_m=0.1, axle_slip=0.02, angle_rad=ANGLE_RAD, sure=True)
 
 
 def raced(way_m: int, share: float, pace: Pace | None = None, **trouble: Any) -> Pace:

@@ -17,7 +17,7 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.control.pace import Pace, Shown, axle_slip
+from fsai_vcu.core.control.pace import Pace, Signs, axle_slip
 from fsai_vcu.core.control.path_tracking import PathLine, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import Sight
@@ -257,7 +257,7 @@ class Controller:
         speed = motion.speed_mps
         there = self._history.at(plan.t_sensor_ns) if plan is not None else None
         if plan is None or there is None:
-            return self._no_way(speed, "no plan from the planner")
+            return self._no_way(motion, "no plan from the planner")
         driven = motion_at(motion, now_ns).distance_m - there.distance_m
         stop_m = None if plan.stop_distance_m is None else plan.stop_distance_m - driven
         there_now = speed < NEARLY_AT_REST_MPS or (stop_m is not None and stop_m <= 0.1 * speed + 0.3)
@@ -270,20 +270,20 @@ class Controller:
             )
         line = self._line
         if line is None:
-            return self._no_way(speed, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
+            return self._no_way(motion, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
 
         x, y, course, travel = self._predicted(plan, there, motion, now_ns)
         station, left = line.beside(x, y, driven)
         if abs(left) > ASIDE_MAX_M or station < -AHEAD_MAX_M:
-            return self._no_way(speed, "the path is not where the car is")
+            return self._no_way(motion, "the path is not where the car is")
         length_m = line.along_m[-1] - station
         if length_m < settings.path_min_m:
             return self._no_way(
-                speed, f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else "")
+                motion, f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else "")
             )
         angle_rad = slip_of(plan) * settings.race_lateral_mps2 if plan.slip_radpmps2 > 0.0 else 0.0
         sure = plan.mapped and plan.confidence >= settings.confidence_sure
-        pace = self._pace.after(Shown(motion.distance_m, left, self._axle_slip, angle_rad, sure))
+        pace = self._pace.after(Signs(motion.distance_m, left, self._axle_slip, angle_rad, sure))
         if pace.gain < self._pace.gain - TAKEN_BACK:
             self._planned = None  # the next cycle's profile is of the new pace
         self._pace = pace
@@ -438,13 +438,13 @@ class Controller:
         needed = (speed**2 - FEEL_ITS_WAY_MPS**2) / (2.0 * max(left_m, 0.1))
         return -needed if needed > self._settings.sight_braking_mps2 else math.inf
 
-    def _no_way(self, speed: float, why: str) -> tuple[float, float]:
+    def _no_way(self, motion: Motion, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
         self._braking, self._note = True, why
-        self._pace = self._pace.taken_back(self._pace.distance_m)
+        self._pace = self._pace.taken_back(motion.distance_m)
         self._acceleration_mps2 = 0.0
         ending = self._ending_since_ns is not None
-        return 0.0, self._end_brake(speed) if ending else self._settings.gentle_brake
+        return 0.0, self._end_brake(motion.speed_mps) if ending else self._settings.gentle_brake
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)

@@ -21,8 +21,8 @@ LOST_M = 0.45  # beside the path
 SLIPPING = 0.2  # axle_slip of tyres that hold is some hundredths, and 0.13 with the steering at its end
 
 
-class Shown(Value, frozen=True):
-    """Car at one instant of its racing, as the controller sees it."""
+class Signs(Value, frozen=True):
+    """Signs of how a car races at one instant, as the controller sees them."""
 
     distance_m: float
     aside_m: float  # from the path, to either side
@@ -38,7 +38,7 @@ class Pace(Value, frozen=True):
     most: float = MOST
     distance_m: float = 0.0
 
-    def after(self, shown: Shown) -> Pace:
+    def after(self, shown: Signs) -> Pace:
         """The pace once the car has shown this."""
         if not shown.sure:
             return self.taken_back(shown.distance_m)

@@ -31,7 +31,7 @@ KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence with
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
 BORDER_APART_M = 5.0  # … at most so far apart
-# Cones that the lane has so surely on its other side have a wrong colour, if they are so few and such a share of all.
+# A cone that contradicts the lane by so much has a wrong colour, where so few and so small a share of all do.
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish

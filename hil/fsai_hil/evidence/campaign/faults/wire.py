@@ -275,7 +275,7 @@ def _message(
 
 
 # Wheel speeds and steering angle are supervised alike; the live torque limit of an axle; what the car can be driven
-# without; one message of ours as the car receives it, and of those torque and brake, which must not meet there.
+# without; one message of the AI computer as the car receives it, torque and brake too, which must not meet there.
 _feedback = partial(_message, lost=LOST_FEEDBACK, lost_ms=FEEDBACK_BANDS, late_ms=((5, 60), (130, 240), (360, 800)))
 _limit = partial(
     _message,
