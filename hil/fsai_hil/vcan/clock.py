@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import ctypes
 import mmap
-import shutil
-import subprocess
 import time
 from pathlib import Path
 
 from fsai_hil.vcan.native import VcanError
+from fsai_hil.vcan.preload import COMPILER, built
 
 SKIPPED = "/dev/mmapper"  # inside: the page that says how much idle time was skipped (`iomem=` of the kernel)
 SLOWEST_PACE = 100.0  # seconds of this machine for one inside; beyond it nobody waits for the end
-_HERE = Path(__file__).parent
 _STEADY = {"constant_tsc", "nonstop_tsc"}  # without these the counter is no clock
 _MEASURE_S = 0.2
 _TRIES = 20
@@ -28,7 +26,7 @@ def preloaded_clock(folder: Path, pace: float = 1.0) -> dict[str, str]:
     The library is built into `folder`. Takes a good third of a second.
     pace: as given to the kernel inside, with `slowed_clock`; where it is not 1, idle time is skipped.
     """
-    library = _built("clock", folder) if _counter_is_steady() else None
+    library = built("clock", folder) if _counter_is_steady() else None
     if library is None:
         return {}
     skipped = {} if pace == 1.0 else {"FSAI_SKIPPED": SKIPPED}
@@ -43,23 +41,12 @@ def slowed_clock(folder: Path, pace: float) -> dict[str, str]:
     """
     if pace == 1.0:
         return {}
-    library = _built("slow_clock", folder)
+    library = built("slow_clock", folder)
     if library is None:
-        raise VcanError(
-            "a slower clock for User-Mode Linux needs a C compiler; as root: apt-get install -y gcc libc6-dev"
-        )
+        raise VcanError(f"a slower clock for User-Mode Linux needs a C compiler; as root: {COMPILER}")
     page = folder / "skipped"
     page.write_bytes(bytes(mmap.PAGESIZE))
     return {"LD_PRELOAD": str(library), "FSAI_PACE": f"{pace:.12g}", "FSAI_SKIPPED": str(page)}
-
-
-def _built(name: str, folder: Path) -> Path | None:
-    compiler = shutil.which("cc")
-    if compiler is None:
-        return None
-    library = folder / f"{name}.so"
-    command = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(_HERE / f"{name}.c")]
-    return library if subprocess.run(command, capture_output=True, check=False).returncode == 0 else None
 
 
 def _counter_is_steady() -> bool:

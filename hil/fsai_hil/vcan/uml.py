@@ -35,6 +35,7 @@ from pathlib import Path
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
 from fsai_hil.vcan.native import BIN, BRING_UP, TIMED_OUT, VcanError, end_group
+from fsai_hil.vcan.preload import COMPILER, built
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
@@ -51,6 +52,7 @@ _BOOT_S = 300.0
 _LOOK_S = 0.2
 _RELAYED_S = 10.0
 _NICENESS = -20
+_REGISTERS = "set fp regs failed"  # the kernel's word where registers.c was not built
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -124,11 +126,17 @@ def run_in_uml(
         except (OSError, ValueError):
             if not in_time and (exchange / "up").exists():
                 return TIMED_OUT
-            kernel_log = (staged / "uml-kernel.log").read_text(errors="replace").strip()
-            last = kernel_log.splitlines()[-1] if kernel_log else "no message"
+            why = _why((staged / "uml-kernel.log").read_text(errors="replace"))
             raise VcanError(
-                f"User-Mode Linux {uml.version} did not come up: {last} (all of it: {results_dir / 'uml-kernel.log'})"
+                f"User-Mode Linux {uml.version} did not come up: {why} (all of it: {results_dir / 'uml-kernel.log'})"
             ) from None
+
+
+def _why(kernel_log: str) -> str:
+    """Return the line of a kernel's log that says why it ended: the first that says so, or the last."""
+    lines = kernel_log.strip().splitlines() or ["no message"]
+    why = next((line for line in lines if "failed" in line or "panic" in line), lines[-1])
+    return f"{why}: this processor needs a C compiler for it; as root: {COMPILER}" if _REGISTERS in why else why
 
 
 @contextlib.contextmanager
@@ -242,6 +250,7 @@ def boot(
     init.write_text("\n".join((*begin, *lines, "")))
     init.chmod(0o755)
     clock = slowed_clock(exchange, pace)
+    preloaded = [clock.pop("LD_PRELOAD", ""), str(built("registers", exchange) or "")]
     output, console = os.pipe()
     command = [
         str(uml.kernel),
@@ -257,6 +266,7 @@ def boot(
         *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
     ]
     environment = {"PATH": BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **clock}
+    environment["LD_PRELOAD"] = ":".join(filter(None, preloaded))
     sys.stdout.flush()
     with log_path.open("ab") as log, processor_of_its_own() as processor:
         process: subprocess.Popen[bytes] | None = None
