@@ -74,6 +74,7 @@ class Drive(SmallCar):
 
     def begin(self, run_id: int) -> None:
         setting, self.confirmed, self.next_ns, self.no_bus_until_ns = self.setting, 0, self.now_ns, 0
+        self.ended = False
         args = setting.car, setting.config, setting.limits, run_id, self.now_ns
         self.bridge = WatchedBridge(self.codec, self.codec.revision, *args)
         self.bridge.checker, self.loop = self.checker, Turns(self.bridge, self.codec, self.now_ns)
@@ -106,7 +107,7 @@ class Drive(SmallCar):
     def quiet(self, ms: float) -> None:
         """Let time pass in which nothing comes; the loop turns whenever something is due."""
         until_ns = self.now_ns + round(ms * MS)
-        while not self.bridge.stopped and (due_ns := self.loop.due_ns() + self.late_ns) <= until_ns:
+        while not self.ended and (due_ns := self.loop.due_ns() + self.late_ns) <= until_ns:
             self.now_ns = max(self.now_ns, due_ns)
             self.turn()
         self.now_ns = until_ns
@@ -148,7 +149,7 @@ class Drive(SmallCar):
 
     def ask(self, what: Any, words: str | None = None) -> None:
         """Call a service as the operator."""
-        if not self.bridge.stopped:
+        if not self.ended:
             self.loop.answer(Ask(0, what, words, self.now_ns + 1, better_late=False), self.now_ns)
 
     def drop(self, cycles: int, takes: int) -> None:
@@ -157,7 +158,7 @@ class Drive(SmallCar):
 
     def lose(self, ms: float) -> None:
         """Lose the bus, which can be opened again after `ms`."""
-        if self.loop.has_bus and not self.bridge.stopped:
+        if self.loop.has_bus and not self.ended:
             self.no_bus_until_ns = self.now_ns + round(ms * MS)
             self.loop.lost("Network is down", self.now_ns)
 
@@ -195,16 +196,16 @@ class Drive(SmallCar):
                 self.receive(Frame(frame.can_id, word.to_bytes(len(frame.data), "little"), self.now_ns))
 
     def receive(self, frame: Frame) -> None:
-        if self.loop.has_bus and not self.bridge.stopped:
+        if self.loop.has_bus and not self.ended:
             self.loop.on_frames((frame,), frame.t_ns)
 
     def tell(self, message: Message) -> None:
-        if not self.bridge.stopped:
+        if not self.ended:
             self.loop.on_edge((message,), self.now_ns)
 
     def turn(self) -> None:
         """Do what the loop does between two frames, where it is not late."""
-        if not self.bridge.stopped and self.now_ns >= self.loop.due_ns() + self.late_ns:
+        if not self.ended and self.now_ns >= self.loop.due_ns() + self.late_ns:
             self.loop.awake(self.now_ns)
             self.act(self.loop.act(self.now_ns))
 
@@ -215,6 +216,8 @@ class Drive(SmallCar):
                 self.send(action.frames)
             elif action is Do.OPEN and self.now_ns < self.no_bus_until_ns:
                 self.act(self.loop.refused("no such device", self.now_ns))
+            elif action is Do.END:
+                self.ended = True
             elif action is Do.OPEN:
                 self.loop.opened(self.now_ns)
                 self.turn()
