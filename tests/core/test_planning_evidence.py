@@ -13,7 +13,18 @@ from msgspec.structs import replace
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import DOUBTED_M, FLOOR, KEPT_M, Course, Evidence, Fit, least_radius_of, most_aside_m
+from fsai_vcu.core.planning.course import (
+    DOUBTED_M,
+    FLOOR,
+    KEPT_M,
+    SLOWLY_M,
+    SURE_AGAIN,
+    Course,
+    Evidence,
+    Fit,
+    least_radius_of,
+    most_aside_m,
+)
 from fsai_vcu.core.planning.lap_strategy import MISTAKEN_MOST, free_of_cones, unmistaken, within_borders
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.planning.pose import to_vehicle
@@ -156,7 +167,16 @@ def test_a_bend_tighter_than_the_car_can_turn_is_named(radius_m: float, least_m:
     assert least_radius_of(STRAIGHT) > 1e6 and least_radius_of(STRAIGHT[:3]) == np.inf
 
 
-@pytest.mark.parametrize(("speed", "course", "again"), [(0.0, SURE, True), (1.0, SURE, False), (0.0, UNSURE, False)])
+@pytest.mark.parametrize(
+    ("speed", "course", "again"),
+    [
+        (0.0, SURE, True),
+        (0.0, replace(SURE, confidence=SURE_AGAIN), True),
+        (0.0, replace(SURE, confidence=SURE_AGAIN - 0.01), False),
+        (1.0, SURE, False),
+        (0.0, UNSURE, False),
+    ],
+)
 def test_a_lost_car_drives_on_from_rest_when_it_sees_its_way(speed: float, course: Course, again: bool) -> None:
     evidence, there = lost()
     notes = [evidence.judged(course, motion).note for motion, _ in zip(looks(speed, there), range(60), strict=False)]
@@ -169,6 +189,13 @@ def test_a_lost_car_waits_for_two_seconds_without_a_doubt() -> None:
     for motion, count in zip(looks(0.0, there), range(200), strict=False):
         course = evidence.judged(UNSURE if count % 30 == 0 else SURE, motion)
         assert course.note.startswith("lost")
+
+
+def test_a_car_in_doubt_drives_slowly_on_the_way_it_has() -> None:
+    evidence, doubtful = Evidence(), replace(SURE, confidence=0.4, note="a fork")
+    courses = [evidence.judged(doubtful, motion) for motion, _ in zip(looks(), range(60), strict=False)]
+    assert courses[0].supported_m == SURE.supported_m, "one look alone slows no car"
+    assert courses[-1].supported_m == SLOWLY_M and courses[-1].note == "a fork"
 
 
 def test_a_finished_mission_stops_where_it_has_to() -> None:
@@ -254,7 +281,7 @@ def test_a_lane_that_many_colours_contradict_crosses_a_border() -> None:
     assert within_borders(ASTRAY, xy, unmistaken(side, stands)) == CROSSES
 
 
-@pytest.mark.parametrize(("spacing_m", "wrong"), [(5.0, (5, 6)), (5.0, (6, 7)), (4.0, (8, 9)), (3.0, (12, 13))])
+@pytest.mark.parametrize(("spacing_m", "wrong"), [(5.0, (6,)), (5.0, (6, 7)), (4.0, (8, 9)), (3.0, (12, 13))])
 def test_a_cone_or_two_of_the_wrong_colour_stop_no_car(spacing_m: float, wrong: tuple[int, ...]) -> None:
     """Round a circle of 10 m to the left; the outer border has cones of the inner one's colour."""
 

@@ -289,12 +289,43 @@ def test_colours_of_the_other_side_lower_confidence() -> None:
     assert "2 of" in lane.note and "colour of the other side" in lane.note
 
 
+def test_a_way_that_the_beam_has_dropped_counts_as_well() -> None:
+    """Without colours the gap in a border beside another lane is nearly as good a way as the lane ahead."""
+    begun = [(s, y) for s in (-3.0, 0.5) for y in (1.5, -1.5)]
+    ahead = [(s, y) for s in (4.0, 8.0, 12.0) for y in (1.5, -1.5)]
+    seen = [(4.0, 1.5), (8.0, 1.5), (5.5, -1.6)]
+    other = [(2.5, -5.5), (6.5, -5.5), (10.5, -5.5), (-1.0, -5.5), (4.5, -8.5), (8.5, -8.5), (12.0, -8.5), (0.5, -8.5)]
+    side = [0.6, -0.6, 0.6, -0.6]
+    alone = find_lane(cones_of([*begun, *ahead], side + [0.0] * 6), Known(0.0, 1.5), 2.0, SETTINGS)
+    beside = find_lane(cones_of([*begun, *seen, *other], side + [0.0] * 11), Known(0.0, 1.5), 2.0, SETTINGS)
+    assert beside.confidence < 0.85 < 0.9 < alone.confidence
+
+
+STEM = [(s, y) for s in (-3.0, 0.0, 3.0) for y in (HALF, -HALF)]
+FORK = [*STEM, *(arc_point(s, r, y) for s in (6.0, 9.0, 12.0) for r in (11.0, -11.0) for y in (HALF, -HALF))]
+
+
 def test_a_fork_is_doubted() -> None:
-    """Two ways as good as each other."""
-    stem = [(s, y) for s in (-3.0, 0.0, 3.0) for y in (HALF, -HALF)]
-    branches = [arc_point(s, radius, y) for s in (6.0, 9.0, 12.0) for radius in (11.0, -11.0) for y in (HALF, -HALF)]
-    lane = find_lane(cones_of([*stem, *branches], [0.0] * 18), Known(0.0, HALF), 0.0, SETTINGS)
+    """Two ways as good as each other are borne out as far as they are one."""
+    lane = find_lane(cones_of(FORK, [0.0] * 18), Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.confidence < 0.3 and "another way" in lane.note
+    assert 0.0 < lane.supported_m <= 7.5
+
+
+def test_a_lane_in_doubt_marks_only_cones_with_a_colour() -> None:
+    cones = cones_of(FORK, [0.0, 0.0, 1.0, -1.0] + [0.0] * 14)
+    cones.color[2:4] = 1, 2
+    lane = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)
+    assert 0.0 < lane.confidence < 0.5
+    assert lane.side.nonzero()[0].tolist() == [2, 3]
+
+
+def test_the_more_a_way_must_be_better_the_less_confidence() -> None:
+    cones = lane_cones(9.0, colored=False)
+    margins = [
+        find_lane(cones, Known(0.0, HALF, margin=margin), 0.0, SETTINGS).confidence for margin in (0.5, 1.0, 2.0)
+    ]
+    assert 1.0 > margins[0] > margins[1] > margins[2] > 0.3
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,15 @@ from msgspec.structs import replace
 
 from fsai_hil.simulator.sensing import SensorSettings
 from fsai_hil.simulator.tracks import random_circuit
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.planning import lap_strategy
+from fsai_vcu.core.planning.cone_memory import Cones
+from fsai_vcu.core.planning.lane import Known, Lane, find_lane
 from fsai_vcu.core.planning.planner import Planner
-from fsai_vcu.core.planning.pose import to_vehicle
+from fsai_vcu.core.planning.pose import NO_PATH, gaps, to_vehicle
+from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
 
@@ -109,6 +115,9 @@ def test_a_way_that_leads_in_a_circle_is_given_up_with_a_word() -> None:
     assert all("a circle of 62 m that does not pass the line" in note for s, note in notes.items() if s > 110.0)
 
 
+NONE = np.zeros(0, dtype=np.int64)
+
+
 def observation(xy: list[tuple[float, float]], t_ns: int = 0) -> ConeObservation:
     count = len(xy)
     return ConeObservation(t_ns, np.array(xy).reshape(-1, 2), np.zeros(count, dtype=np.int64), np.full(count, 0.9))
@@ -141,20 +150,66 @@ def test_an_observation_without_any_good_cone_does_no_harm(mission: Ami, xy: lis
         assert np.isfinite(plan.path_m).all()
 
 
-def test_the_last_path_is_kept_for_one_second_without_cones() -> None:
-    planner = planner_for(Ami.AUTOCROSS)
-    second = 1_000_000_000
+def after_three_looks(mission: Ami = Ami.AUTOCROSS) -> tuple[Planner, Plan]:
+    planner = planner_for(mission)
     for step in range(3):
         plan = planner.on_cones(observation(LANE, step), Motion(t_ns=step))
     assert plan is not None and len(plan.path_m) > 10
+    return planner, plan
+
+
+def test_without_cones_the_last_path_is_kept_as_far_as_it_was_borne_out() -> None:
+    planner, plan = after_three_looks()
+    for driven_m in (0.0, 3.0, plan.supported_m - 4.0, plan.supported_m + 0.1):
+        kept = planner.on_cones(observation([], 1_000_000_000), Motion(1_000_000_000, driven_m, distance_m=driven_m))
+        left_m = plan.supported_m - driven_m
+        assert kept is not None and (len(kept.path_m) > 0) is (left_m > 0.0)
+        assert kept.supported_m == pytest.approx(max(0.0, left_m))
+        assert kept.note == "no cones are seen" + ": path kept from 1.0 s ago" * (left_m > 0.0)
+
+
+def test_with_cones_that_are_no_lane_the_last_path_is_kept_for_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    planner, _ = after_three_looks()
+    nowhere = find_lane(Cones(NO_PATH, NONE, NONE, NONE), Known(0.0, 1.5), 0.0, PlannerSettings())
+    monkeypatch.setattr(lap_strategy, "find_lane", lambda cones, *_: replace(nowhere, side=np.zeros(len(cones.index))))
+    second = 1_000_000_000
     for t_ns, kept in ((second, True), (second + 3, False)):
-        # Seen again nowhere near: the memory drops the cones, for the car has been turned round.
-        there = Motion(t_ns=t_ns, x_m=2.0, distance_m=400.0)
-        plan = planner.on_cones(observation([], t_ns), there)
-        assert plan is not None
-        assert (len(plan.path_m) > 0) is kept
-        assert plan.note == ("path kept from 1.0 s ago" if kept else "no cones")
-        assert (plan.supported_m > 0.0) is kept and plan.confidence < 0.1
+        plan = planner.on_cones(observation(LANE, t_ns), Motion(t_ns=t_ns))
+        assert plan is not None and (len(plan.path_m) > 0) is kept and plan.confidence < 0.1
+        assert plan.note == "no cones" + ": path kept from 1.0 s ago" * kept
+
+
+def test_the_way_is_borne_out_no_further_than_cones_are_seen() -> None:
+    planner, plan = after_three_looks()
+    assert plan.supported_m > 8.0
+    near = [(x, y) for x, y in LANE if math.hypot(x, y) < 6.0]
+    planner._memory.view_m = 0.0
+    plan = planner.on_cones(observation(near, 3), Motion(t_ns=3))
+    assert plan is not None and plan.supported_m < 6.0
+
+
+def test_a_car_that_stands_learns_no_sides_from_its_looks() -> None:
+    planner, _ = after_three_looks()
+    assert not planner._memory._cones["side"].any()
+    planner.on_cones(observation(LANE, 4), Motion(t_ns=4, distance_m=0.1))
+    assert planner._memory._cones["side"].any()
+
+
+def test_among_false_cones_only_those_that_most_looks_find_make_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Floats] = []
+
+    def looked_at(cones: Cones, *others: Any) -> Lane:
+        given.append(cones.xy_m)
+        return find_lane(cones, *others)
+
+    monkeypatch.setattr(lap_strategy, "find_lane", looked_at)
+    planner, draw = planner_for(Ami.AUTOCROSS), np.random.default_rng(1)
+    for step in range(60):
+        false = draw.uniform((2.0, -6.0), (12.0, 6.0), (8, 2))
+        planner.on_cones(observation([*LANE, *map(tuple, false)], step), Motion(t_ns=step))
+    off_m = [gaps(xy_m, np.array(LANE)).min(axis=1) for xy_m in given[20:]]
+    assert all(len(off) >= len(LANE) - 2 for off in off_m)
+    assert np.mean(np.concatenate(off_m) > 1.0) < 0.1
 
 
 def resets(planner: Planner) -> None:

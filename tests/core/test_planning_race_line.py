@@ -203,6 +203,8 @@ def test_a_car_lost_in_the_map_follows_the_lane() -> None:
     ride, _ = mapped()
     elsewhere = ride.motion
     ride.motion = replace(elsewhere, x_m=elsewhere.x_m + 40.0, yaw_rad=elsewhere.yaw_rad + 1.0)
+    for _ in range(3):  # until cones are known there
+        ride.planner.on_cones(ride.see(), ride.motion)
     plans = [ride.step() for _ in range(8)]
     assert not plans[-1].mapped and "map" in plans[-1].note
 

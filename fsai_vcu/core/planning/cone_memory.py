@@ -32,6 +32,10 @@ class Cones(Value, frozen=True):
     side: Floats
     index: Ints
 
+    def only(self, chosen: Bools) -> Cones:
+        """Those of them that are chosen, (N,)."""
+        return Cones(self.xy_m[chosen], self.color[chosen], self.side[chosen], self.index[chosen])
+
 
 def believable(observation: ConeObservation, settings: PlannerSettings) -> tuple[Floats, Ints]:
     """Positions (vehicle frame) and colours of the cones of an observation that can be used at all."""
@@ -72,6 +76,7 @@ NEWEST = 0.1  # share of the newest look in the average of how many cones turn o
 DISPLACED_M = 0.6  # by so much, all cones together, the doubt is that of a cone in each look that turns out to be none
 # Of way: in 10 m of a hairpin odometry drifts by some 0.4 m; the same times how far off a cone stands: it turns, too.
 LATELY_M, LATELY_M2 = 5.0, 15.0
+OUTVOTED_MOST = 2  # cones around the car whose colour the lane may outvote
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
 
@@ -175,6 +180,8 @@ class ConeMemory:
         lane = known["side"][index]
         # A cone's side of the lane, look after look, outvotes a colour that contradicts it.
         contrary = within(by_color + lane / OUTVOTES, 1.0)
+        if np.count_nonzero(by_color * contrary < 0.0) > OUTVOTED_MOST:
+            contrary = by_color  # so many wrong colours are rarer than a wrong lane
         by_lane = within(lane / 4.0, 0.6)
         side = np.where(by_color == 0.0, by_lane, np.where(by_color * lane < 0.0, contrary, by_color))
         side = carried_on(side, colored == 0.0, rows)

@@ -28,7 +28,10 @@ FLOOR = 0.3
 # a wrong way in many looks.
 NEWEST_AGAINST, NEWEST_FOR = 0.2, 0.07
 DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
-FLOOR_AGAIN, AT_REST_MPS, AGAIN_NS = 0.5, 0.1, 2 * S  # above which a lost car that stands drives on, if it lasts
+FLOOR_AGAIN = 0.5  # with more a look bears its way out
+# A lost car that stands drives on with so much, if it lasts: from one place each look shows the same, right or wrong.
+SURE_AGAIN, AT_REST_MPS, AGAIN_NS = 0.75, 0.1, 2 * S
+SLOWLY_M = 4.0  # of way borne out at most, below that confidence
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
 STUCK_M = 0.5  # beside its path in a bend tighter than it can turn, a car only gets further off: it is lost at once
 ASIDE_M = (0.3, 0.8)  # beside its path: from the first on confidence falls, at the second none is left
@@ -165,7 +168,7 @@ class Evidence:
 
     def _clear(self, course: Course, motion: Motion) -> bool:
         """True once a lost car stands and each look of two seconds has shown the way."""
-        if motion.speed_mps > AT_REST_MPS or min(self._sure, course.confidence) < FLOOR_AGAIN:
+        if motion.speed_mps > AT_REST_MPS or self._sure < FLOOR_AGAIN or course.confidence < SURE_AGAIN:
             self._clear_ns = None
         elif self._clear_ns is None:
             self._clear_ns = motion.t_ns
@@ -186,7 +189,8 @@ class Evidence:
                 supported_m = max(0.0, trusted.supported_m - (motion.distance_m - there.distance_m))
         path = way if len(way) >= KEPT_POINTS else course.path_m
         if not self._lost:
-            supported_m = min(supported_m, course.supported_m)
+            slowly_m = SLOWLY_M if self._sure < FLOOR_AGAIN else math.inf
+            supported_m = min(supported_m, course.supported_m, slowly_m)
             return replace(course, path_m=path, supported_m=supported_m) if len(course.path_m) else course
         note = f"{LOST}{self._why}"
         return replace(course, path_m=path, supported_m=STOP_HERE_M, confidence=0.0, mapped=False, note=note)

@@ -39,10 +39,12 @@ COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
 
+VOTE_NONE = 0.5  # with no more confidence cones without a colour are not marked
+
 BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
-MARGIN = 1.0  # by so much (about the reward of a cone) another way has to be worse for two thirds of confidence
-ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
+SURE_MIN = 0.5  # of that; with less the way is borne out only as far as the best way elsewhere is the same
+ELSEWHERE_M, SAME_M = 1.5, 0.7  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD, ARCS_LEAST = 4, 2  # of the car, those believed from the last look included
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
@@ -80,6 +82,7 @@ class Known(Value, frozen=True):
     view_m: float = 0.0
     middle_m: Floats | None = None
     driven_m: Floats | None = None
+    margin: float = 1.0
 
 
 def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettings) -> Lane:
@@ -97,7 +100,7 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
         begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count, dtype=bool))
-    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], known, settings)
+    line, margin, agreed_m = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], known, settings)
     line = resampled(np.concatenate((begun, line)), settings.path_step_m)
     for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
@@ -115,8 +118,13 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     vote = np.where((along > -2.0) & (along < VOTE_M), sides * sureness, 0.0)
     supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
     beside = (along > 0.0) & (along <= end_m)
-    confidence, note = _doubts(sides[beside], cones.side[beside], margin)
-    return Lane(path, middle, vote * confidence, half_width, supported_m, confidence, note)
+    sure = 1.0 - math.exp(-margin / known.margin)
+    confidence, note = _doubts(sides[beside], cones.side[beside], sure)
+    if sure < SURE_MIN:
+        supported_m = min(supported_m, agreed_m)
+    # A lane in doubt does not say where cones without a colour stand, or looks in doubt would make each other sure.
+    vote *= np.where(cones.color == 0, max(0.0, confidence - VOTE_NONE) / (1.0 - VOTE_NONE), confidence)
+    return Lane(path, middle, vote, half_width, supported_m, confidence, note)
 
 
 def _beside_car(line: Floats) -> int:
@@ -184,11 +192,13 @@ def _reach(along: Floats, gap_m: float, settings: PlannerSettings) -> float:
     return reached
 
 
-def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
-    """Confidence (0…1) and a note about a lane with cones that stand beside it so, but should by what is known."""
+def _doubts(stands: Floats, side: Floats, sure: float) -> tuple[float, str]:
+    """Confidence (0…1) and a note about a lane with cones that stand beside it so, but should by what is known.
+
+    sure: 0…1, that another way is worse.
+    """
     left, right = int(np.count_nonzero(stands > 0)), int(np.count_nonzero(stands < 0))
     contrary = int(np.count_nonzero(stands * side < -0.3))
-    sure = 1.0 - math.exp(-margin / MARGIN)
     confidence = sure * (1.0 - contrary / max(1, left + right)) * (1.0 if left and right else ONE_BORDER)
     notes = []
     if not (left and right):
@@ -211,8 +221,14 @@ class _Begin(Value, frozen=True):
     along_m: float = 0.0  # of way from the car
 
 
-# For each step: its poses; for each pose kept after it, the pose that it comes from and the bend of the arc to it.
-History = list[tuple[Floats, Ints, Ints]]
+class _Chains(Value, frozen=True):
+    """The chains kept after some arcs, the cheapest first."""
+
+    poses: Floats  # (P, 7) at the chains' ends
+    bend: Ints  # (P,) of the arc to each pose: place in the fan's bends
+    parent: Ints  # (P,) among the poses of one arc less
+    seen: Floats  # (3, N, P) the cones as the poses see them
+    open: Bools  # (N, P) cones that each chain has not counted yet
 
 
 class _Fan(Value, frozen=True):
@@ -230,6 +246,8 @@ POSE = 7  # numbers, in this order: place and direction, what the chain up to it
 X, Y, HEADING, COS, SIN, COST, ONE = range(POSE)
 CELLS = 1.0 / np.array([0.7, 0.7, 0.3])  # m, m, rad: poses as near as that are about the same
 BEST = 4  # times the beam's poses: arcs looked at for it, beginning with the best
+COST_AVOIDED = 1e6  # more than of any chain; of what must not be kept
+BEAM_ELSEWHERE = 14  # poses of the beam that seeks another way than the best
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
 RAMP_FROM_M = np.array([INSIDE_M, BORDER_FAR_M])[:, None]
 RAMP_SPAN_M = np.array([BORDER_NEAR_M - INSIDE_M, OUTSIDE_M - BORDER_FAR_M])[:, None]
@@ -262,10 +280,10 @@ def _fan(settings: PlannerSettings) -> _Fan:
 
 def _search(
     xy: Floats, side: Floats, begin: _Begin, counted: Bools, known: Known, settings: PlannerSettings
-) -> tuple[Floats, float]:
-    """Return the best chain of arcs from `begin` on, and by how much the best chain that leads elsewhere costs more.
+) -> tuple[Floats, float, float]:
+    """Return the best chain of arcs from `begin` on, and how the best chain that leads elsewhere compares with it.
 
-    The chain is (M, 2) points every quarter of a step.
+    The chain is (M, 2) points every quarter of a step. The other one costs so much more, and is the same so far (m).
 
     The arrays are small (a dozen cones, 28 poses, 11 arcs each), so the number of numpy's calls and of its inner loops
     counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
@@ -277,37 +295,48 @@ def _search(
     known = replace(known, view_m=max(reach_m, known.view_m))
     worth = _worth(side)
 
-    yaw = begin.yaw_rad
-    poses = np.array([[begin.x_m, begin.y_m, yaw, math.cos(yaw), math.sin(yaw), 0.0, 1.0]])
-    bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])  # of the arc to each pose: place in fan.bends
-    seen = _seen_from(poses, xy)
-    open_ = ~counted[:, None]  # (N, P) not counted by each chain so far
-    history: History = []
-    while True:
-        ends = poses.dot(fan.ends).reshape(-1, POSE)  # of the first pose's arcs, then of the second's, …
-        beside = _beside(seen, fan, step)
-        charge, as_border = _charge(beside, worth, open_)
+    def longer(chains: _Chains, beam: int, avoided: Floats | None = None) -> _Chains:
+        """The best chains that are longer by an arc. avoided: (2,) place from which they end elsewhere."""
+        ends = chains.poses.dot(fan.ends).reshape(-1, POSE)  # of the first pose's arcs, then of the second's, …
+        beside = _beside(chains.seen, fan, step)
+        charge, as_border = _charge(beside, worth, chains.open)
         ends[:, COST] += np.bincount(beside.arc, charge, len(ends))
-        ends[:, COST] += fan.bending_cost.take(bend, axis=0).ravel()
+        ends[:, COST] += fan.bending_cost.take(chains.bend, axis=0).ravel()
         empty = np.bincount(beside.arc, as_border, len(ends)) < BORDER_MIN
         ends[:, COST] = _costs(ends, empty, known)
-        kept = _keep(ends, settings.beam)
+        if avoided is not None:
+            dx, dy = ends[:, X] - avoided[0], ends[:, Y] - avoided[1]
+            ends[dx * dx + dy * dy <= ELSEWHERE_M**2, COST] = COST_AVOIDED
+        kept = _keep(ends, beam)
         parent, bend = np.divmod(kept, len(fan.bends))
-        history.append((poses, parent, bend))
         poses = ends.take(kept, axis=0)
         seen = _seen_from(poses, xy)
         shift = _to_middle(seen, fan.bends.take(bend), worth.nearest_m)
         poses[:, X] -= shift * poses[:, SIN]
         poses[:, Y] += shift * poses[:, COS]
-        if len(history) == levels:
-            break
         seen[1] -= shift
         stays_open = np.ones((len(xy), len(ends)), dtype=bool)
         stays_open[beside.cone, beside.arc] = as_border <= BORDER_MIN
-        open_ = open_.take(parent, axis=1) & stays_open.take(kept, axis=1)
+        return _Chains(poses, bend, parent, seen, chains.open.take(parent, axis=1) & stays_open.take(kept, axis=1))
+
+    yaw = begin.yaw_rad
+    pose = np.array([[begin.x_m, begin.y_m, yaw, math.cos(yaw), math.sin(yaw), 0.0, 1.0]])
+    bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])
+    history = [_Chains(pose, bend, bend, _seen_from(pose, xy), ~counted[:, None])]
+    while len(history) <= levels:
+        history.append(longer(history[-1], settings.beam))
     # Beyond what is seen one way is as good as another.
     arcs = min(ARCS_AHEAD, max(ARCS_LEAST, int(known.view_m / step)))
-    return _best(history, poses, fan), _margin(history, poses, max(1, arcs - round(begin.along_m / step)))
+    arcs = min(levels, max(1, arcs - round(begin.along_m / step)))
+    best = _places(history)
+    others = [longer(history[arcs - 1], BEAM_ELSEWHERE, history[arcs].poses[best[arcs], : Y + 1])]
+    while len(others) <= levels - arcs:
+        others.append(longer(others[-1], BEAM_ELSEWHERE))
+    others = history[:arcs] + others
+    margin = float(others[-1].poses[0, COST] - history[-1].poses[0, COST])
+    apart = np.subtract(_along(history, best), _along(others, _places(others)))
+    same = int(np.argmax(np.hypot(apart[:, X], apart[:, Y]) > SAME_M)) - 1
+    return _best(history, best, fan), max(0.0, margin), begin.along_m + step * same
 
 
 class _Worth(Value, frozen=True):
@@ -392,35 +421,30 @@ def _keep(ends: Floats, beam: int) -> Ints:
     return np.array(list(first.values()))
 
 
-def _best(history: History, poses: Floats, fan: _Fan) -> Floats:
-    """(M, 2) points every quarter of an arc along the best chain. poses: at the chains' ends, the best first."""
-    at = 0
-    chain: list[tuple[float, ...]] = []  # of each arc, the last one first: where it starts, and its bend
-    for starts, parent, bend in reversed(history):
-        start = int(parent[at])
-        chain.append((*starts[start, : HEADING + 1].tolist(), float(fan.bends[bend[at]])))
-        at = start
-    x, y, heading, curvature = np.array(chain[::-1]).T[:, :, None]
+def _places(history: list[_Chains]) -> list[int]:
+    """Return the places of the best chain's poses among those of each number of arcs."""
+    places = [0]
+    for chains in reversed(history[1:]):
+        places.append(int(chains.parent[places[-1]]))
+    return places[::-1]
+
+
+def _along(history: list[_Chains], places: list[int]) -> Floats:
+    """(L, 7) the poses of one chain."""
+    return np.array([chains.poses[place] for chains, place in zip(history, places, strict=True)])
+
+
+def _best(history: list[_Chains], places: list[int], fan: _Fan) -> Floats:
+    """(M, 2) points every quarter of an arc along the chain through these poses."""
+    starts = _along(history, places)
+    bends = [chains.bend[place] for chains, place in zip(history[1:], places[1:], strict=True)]
     along = fan.quarters_m
-    turn = heading + 0.5 * along * curvature
+    turn = starts[:-1, HEADING, None] + 0.5 * along * fan.bends[bends][:, None]
     points = np.empty((turn.size + 1, 2))
-    points[:-1, 0], points[:-1, 1] = (x + along * np.cos(turn)).ravel(), (y + along * np.sin(turn)).ravel()
-    points[-1] = poses[0, : Y + 1]
+    points[:-1, 0] = (starts[:-1, X, None] + along * np.cos(turn)).ravel()
+    points[:-1, 1] = (starts[:-1, Y, None] + along * np.sin(turn)).ravel()
+    points[-1] = starts[-1, : Y + 1]
     return points
-
-
-def _margin(history: History, poses: Floats, arcs: int) -> float:
-    """Return how much more than the best chain the best chain costs that is elsewhere after so many arcs.
-
-    poses: at the chains' ends, the best first.
-    """
-    passed = np.arange(len(poses))
-    for _, parent, _ in reversed(history[arcs:]):
-        passed = parent.take(passed)
-    there = history[arcs][0] if len(history) > arcs else poses
-    dx, dy = (there[:, : Y + 1].take(passed, axis=0) - there[passed[0], : Y + 1]).T
-    others = (np.hypot(dx, dy) > ELSEWHERE_M).nonzero()[0]
-    return float(poses[others[0], COST] - poses[0, COST]) if len(others) else math.inf
 
 
 def _seen_from(poses: Floats, xy: Floats) -> Floats:

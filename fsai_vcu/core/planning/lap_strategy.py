@@ -13,7 +13,7 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import BIG, EXPECTED, ConeMemory, Cones
-from fsai_vcu.core.planning.course import DOUBTFUL, Course, braking_m
+from fsai_vcu.core.planning.course import CONES_MIN, DOUBTFUL, KEPT_POINTS, Course, braking_m
 from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -28,12 +28,15 @@ SURE = 0.5  # confidence with which the lane found is believed in the next look
 KNOWN_M = 0.5  # distance from a confirmed cone within which a cone seen is that cone
 NEWEST_KNOWN = 0.1  # share of the newest look in the average of the share of such cones …
 KNOWN_NONE, KNOWN_SPAN = (0.55, 0.4), 0.25  # … that leaves no confidence without and with colours; to full confidence
+KNOWN_MOST = 0.9  # with a smaller share only cones that most looks find make the lane: others are mostly false
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
 BORDER_APART_M = 5.0  # … at most so far apart
 # A cone that contradicts the lane by so much has a wrong colour, where so few and so small a share of all do.
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
+MARGIN = (0.7, 1.8)  # as in `Known`, with true colours and cones alone; without, or with false cones in each look
+NEW_LOOK_M = 0.02  # of way since the last look, without which it says nothing new: each from one place is the same
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -56,7 +59,7 @@ class LapStrategy:
         self._middle: Floats = NO_PATH  # of the lane as found last, in the odometry frame
         self._kept: Floats = NO_PATH  # the last path, in the vehicle frame …
         self._kept_at = Motion()  # … of then
-        self._kept_confidence = 0.0
+        self._kept_confidence, self._kept_supported_m = 0.0, 0.0
         self._racing: Racing | None = None
         if self._laps > 1:  # a single lap leaves nothing to race
             from fsai_vcu.core.planning.racing import Racing  # slow to import, so not in the middle of a run
@@ -83,7 +86,14 @@ class LapStrategy:
             course = Course(path, supported_m=reach_m, confidence=racing.confidence, mapped=True, note=doubt)
             self._kept_confidence = 0.0  # what the last look at the lane found is far behind
         else:
-            course, stands = self._lane(memory, cones, motion, racing.middle(here) if racing is not None else None)
+            middle = racing.middle(here) if racing is not None else None
+            stands = np.zeros(len(cones.xy_m))
+            if len(seen_xy_m) < CONES_MIN and len(self._kept):
+                # The same cones once more say nothing new, and from another place less.
+                course = self._kept_course(motion, 1.0, "no cones are seen")
+            else:
+                borders = np.ones(len(sure), dtype=bool) if self._known > KNOWN_MOST else sure
+                course, stands[borders] = self._lane(memory, cones.only(borders), motion, middle)
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
             free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
             within, crossing = within_borders(course, sure_xy_m, unmistaken(cones.side, stands)[sure])
@@ -113,13 +123,12 @@ class LapStrategy:
         if len(seen_xy_m) and len(cones.xy_m):
             known = np.count_nonzero(gaps(seen_xy_m, sure_xy_m).min(axis=1, initial=math.inf) < KNOWN_M)
             self._known += NEWEST_KNOWN * (known / len(seen_xy_m) - self._known)
-        colored = np.count_nonzero(cones.color) / max(1, len(cones.color))
-        none = KNOWN_NONE[0] + colored * (KNOWN_NONE[1] - KNOWN_NONE[0])
+        none = KNOWN_NONE[0] + _share_with_colours(cones) * (KNOWN_NONE[1] - KNOWN_NONE[0])
         share = min(max((self._known - none) / KNOWN_SPAN, 0.0), 1.0)
         return share, f"{100.0 * (1.0 - self._known):.0f} % of the cones seen stand where none was before"
 
     def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion, middle: Floats | None) -> tuple[Course, Floats]:
-        """The way on in the lane that the cones around the car make, and the (N,) sides on which it has them.
+        """The way on in the lane that these cones make, and the (N,) sides on which it has them.
 
         `middle`: the lane's by the map (vehicle).
         """
@@ -128,31 +137,34 @@ class LapStrategy:
             middle = to_vehicle(motion, self._middle)
         driven = self._circling.driven(motion, self._settings.horizon_m, self._settings.age_m)
         driven_xy_m = to_vehicle(motion, np.array(driven)) if driven else None
-        known = Known(curvature, self._half_width_m, memory.view_m, middle, driven_xy_m)
+        untrusted = max(1.0 - _share_with_colours(cones), min(1.0, (1.0 - self._known) / KNOWN_SPAN))
+        margin = MARGIN[0] + untrusted * (MARGIN[1] - MARGIN[0])
+        known = Known(curvature, self._half_width_m, memory.view_m, middle, driven_xy_m, margin)
         lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
-            memory.vote(cones.index, lane.side)
+            if motion.distance_m > self._kept_at.distance_m + NEW_LOOK_M:
+                memory.vote(cones.index, lane.side)
             self._middle = to_odometry(motion, lane.middle_m)
             self._kept, self._kept_at, self._kept_confidence = path, motion, lane.confidence
-            course = Course(path, supported_m=lane.supported_m, confidence=lane.confidence, note=lane.note)
-            return course, lane.side
-        path, nowhere = self._kept_path(motion), np.zeros(len(cones.xy_m))
-        if not len(path):
-            return Course(path, supported_m=0.0, confidence=0.0, note=lane.note), nowhere
+            self._kept_supported_m = min(lane.supported_m, memory.view_m)
+            return Course(
+                path, supported_m=self._kept_supported_m, confidence=lane.confidence, note=lane.note
+            ), lane.side
         age_ns = motion.t_ns - self._kept_at.t_ns
-        confidence = self._kept_confidence * (1.0 - age_ns / (self._settings.keep_path_ns + 1))
-        note = f"path kept from {age_ns / S:.1f} s ago"
-        return Course(path, supported_m=float(lengths_along(path)[-1]), confidence=confidence, note=note), nowhere
+        share = max(0.0, 1.0 - age_ns / (self._settings.keep_path_ns + 1))
+        return self._kept_course(motion, share, lane.note), np.zeros(len(cones.xy_m))
 
-    def _kept_path(self, motion: Motion) -> Floats:
-        """Return what is left of the last path, if it is not too old."""
-        if not len(self._kept) or motion.t_ns - self._kept_at.t_ns > self._settings.keep_path_ns:
-            return NO_PATH
-        path = to_vehicle(motion, to_odometry(self._kept_at, self._kept))
-        ahead = path[int(np.hypot(path[:, 0], path[:, 1]).argmin()) :]
-        return ahead if len(ahead) >= 5 else NO_PATH
+    def _kept_course(self, motion: Motion, share: float, why: str) -> Course:
+        """The last lane that was found, as far as cones bore it out then, with this share of its confidence."""
+        path = to_vehicle(motion, to_odometry(self._kept_at, self._kept)) if len(self._kept) else NO_PATH
+        path = path[int(np.hypot(path[:, 0], path[:, 1]).argmin()) :] if len(path) else path
+        left_m = self._kept_supported_m - (motion.distance_m - self._kept_at.distance_m)
+        if share <= 0.0 or left_m <= 0.0 or len(path) < KEPT_POINTS:
+            return Course(NO_PATH, supported_m=0.0, confidence=0.0, note=why)
+        note = f"{why}: path kept from {(motion.t_ns - self._kept_at.t_ns) / S:.1f} s ago"
+        return Course(path, supported_m=left_m, confidence=share * self._kept_confidence, note=note)
 
     def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
         """Correct the line by the gate, or by the map, and count the passages of it."""
@@ -182,6 +194,10 @@ class LapStrategy:
             if self._state.line.seen and not self._state.sighted:
                 least_m = 0.5 * (least_m + most_m)
             self._stop_m = min(max(least_m, braking_m(motion.speed_mps, LAP_BRAKING_MPS2)), most_m)
+
+
+def _share_with_colours(cones: Cones) -> float:
+    return np.count_nonzero(cones.color) / max(1, len(cones.color))
 
 
 def free_of_cones(course: Course, sure_xy_m: Floats) -> tuple[float, str]:
