@@ -25,7 +25,16 @@ from fsai_hil.simulator.profiles import SPECIFICATION
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.qos import FRAMES, TOPICS
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.planning.course import AGAIN_NS, DOUBTED_M, DOUBTED_S, FLOOR, FLOOR_AGAIN, MOVED_M
+from fsai_vcu.core.planning.course import (
+    AGAIN_NS,
+    DOUBTED_M,
+    DOUBTED_S,
+    FLOOR,
+    FLOOR_AGAIN,
+    MOVED_M,
+    SLOWLY_M,
+    SURE_AGAIN,
+)
 from fsai_vcu.core.supervision.config import TO_DO_UNSEEN, BridgeConfig, Reason
 from fsai_vcu.core.supervision.gate import LIMITERS
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
@@ -154,11 +163,14 @@ def give_up() -> str:
         "\nThe planner's confidence falls when it sees another lane than a moment ago, a car beside its path, cones"
         "\nwhere none stood, or cones that are not where skidpad or acceleration have them; and when its path crosses"
         f"\na border, or each look moves it (by more than {MOVED_M[0]:g} m in the mean, before the car could stop)."
-        "\nIf its average over some"
-        f"\nlooks stays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
+        "\nIt falls also where another way through the cones is nearly as good: then the path counts as borne out only as"
+        "\nfar as both ways are one. While its average over some looks is under"
+        f"\n{FLOOR_AGAIN:g}, the car drives slowly, as if {SLOWLY_M:g} m of the path were borne out at most."
+        "\nIf that average"
+        f"\nstays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
         "\nthe planner is *lost*: it plans a stop at once, along the last path that was not in doubt."
         "\n`/planner_status`, `fsai-vcu status` and the pit wall show that it is lost, and why. Once the car stands and"
-        f"\neach look of {AGAIN_NS / 1e9:g} s has shown the lane with a confidence of {FLOOR_AGAIN:g} at least,"
+        f"\neach look of {AGAIN_NS / 1e9:g} s has shown the lane with a confidence of {SURE_AGAIN:g} at least,"
         "\nit drives on."
     )
 

@@ -158,7 +158,7 @@ def after_three_looks(mission: Ami = Ami.AUTOCROSS) -> tuple[Planner, Plan]:
     return planner, plan
 
 
-def test_without_cones_the_last_path_is_kept_as_far_as_it_was_borne_out() -> None:
+def test_without_cones_a_path_is_kept_as_far_as_borne_out() -> None:
     planner, plan = after_three_looks()
     for driven_m in (0.0, 3.0, plan.supported_m - 4.0, plan.supported_m + 0.1):
         kept = planner.on_cones(observation([], 1_000_000_000), Motion(1_000_000_000, driven_m, distance_m=driven_m))
@@ -168,7 +168,7 @@ def test_without_cones_the_last_path_is_kept_as_far_as_it_was_borne_out() -> Non
         assert kept.note == "no cones are seen" + ": path kept from 1.0 s ago" * (left_m > 0.0)
 
 
-def test_with_cones_that_are_no_lane_the_last_path_is_kept_for_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_cones_that_are_no_lane_a_path_is_kept_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     planner, _ = after_three_looks()
     nowhere = find_lane(Cones(NO_PATH, NONE, NONE, NONE), Known(0.0, 1.5), 0.0, PlannerSettings())
     monkeypatch.setattr(lap_strategy, "find_lane", lambda cones, *_: replace(nowhere, side=np.zeros(len(cones.index))))
@@ -195,7 +195,7 @@ def test_a_car_that_stands_learns_no_sides_from_its_looks() -> None:
     assert planner._memory._cones["side"].any()
 
 
-def test_among_false_cones_only_those_that_most_looks_find_make_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_among_false_cones_only_sure_ones_make_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Floats] = []
 
     def looked_at(cones: Cones, *others: Any) -> Lane:

@@ -54,7 +54,7 @@ def test_frames_stamped_in_the_future_break_no_rule(station: str, ahead_ns: int)
     assert (torque_nm > 0.0) is (station == "moving" and ahead_ns < 100 * MS)
 
 
-def test_a_loop_that_is_told_to_stop_without_a_bus_ends_its_turns() -> None:
+def test_a_loop_told_to_stop_without_a_bus_ends_its_turns() -> None:
     drive = copy.deepcopy(kept("2026", "moving"))
     drive.play([("ask", {"what": "deactivate", "words": ""}), ("lose", {"ms": 5.0}), ("run", {"cycles": 9})])
     assert drive.ended

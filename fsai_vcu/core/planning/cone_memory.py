@@ -33,7 +33,7 @@ class Cones(Value, frozen=True):
     index: Ints
 
     def only(self, chosen: Bools) -> Cones:
-        """Those of them that are chosen, (N,)."""
+        """Return the cones that are chosen, (N,)."""
         return Cones(self.xy_m[chosen], self.color[chosen], self.side[chosen], self.index[chosen])
 
 
