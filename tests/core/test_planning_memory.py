@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
-from fsai_vcu.core.planning.cone_memory import SURE_SIDE, ConeMemory, believable, by_chain, carried_on, rows_of
+from fsai_vcu.core.planning.cone_memory import (
+    OUTVOTED_MOST,
+    SURE_SIDE,
+    ConeMemory,
+    believable,
+    by_chain,
+    carried_on,
+    rows_of,
+)
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 SETTINGS = PlannerSettings()
@@ -161,6 +169,16 @@ def test_a_lane_outvotes_a_colour_that_contradicts_it() -> None:
         memory.vote(cones.index, np.ones(len(cones.index)))
     assert sides[0] == -1.0 and sides[-1] > 0.0
     assert memory.around(HERE).color[0] == ConeColor.YELLOW
+
+
+@pytest.mark.parametrize(("wrong", "outvoted"), [(OUTVOTED_MOST, True), (OUTVOTED_MOST + 1, False)])
+def test_many_colours_that_contradict_a_lane_are_believed(wrong: int, outvoted: bool) -> None:
+    memory, places = ConeMemory(SETTINGS), np.array([[6.0 * count, 1.5] for count in range(1, wrong + 1)])
+    for _ in range(8):
+        memory.add(places, colors(*wrong * [ConeColor.YELLOW]), HERE)
+        cones = memory.around(HERE)
+        memory.vote(cones.index, np.ones(len(cones.index)))
+    assert (memory.around(HERE).side > 0.0).tolist() == wrong * [outvoted]
 
 
 def test_what_cannot_be_a_cone_is_not_taken_in() -> None:
