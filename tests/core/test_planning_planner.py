@@ -195,6 +195,13 @@ def test_a_car_that_stands_learns_no_sides_from_its_looks() -> None:
     assert planner._memory._cones["side"].any()
 
 
+def test_a_slow_car_learns_sides_however_often_it_looks() -> None:
+    planner, _ = after_three_looks()
+    for step in range(1, 30):
+        planner.on_cones(observation(LANE, 4 + step), Motion(t_ns=4 + step, distance_m=0.001 * step))
+    assert planner._memory._cones["side"].any()
+
+
 def test_among_false_cones_only_sure_ones_make_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Floats] = []
 

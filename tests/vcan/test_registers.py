@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.vcan.preload import built
+from fsai_hil.vcan.preload import COMPILER, built
+from fsai_hil.vcan.uml import _why
 
 SET_AND_READ = """
 import ctypes, math, os, signal
@@ -68,3 +69,9 @@ def test_registers_are_set_from_a_short_buffer_where_changed(tmp_path: Path) -> 
         pytest.skip(said(""))
     assert said("").startswith("Bad address Bad address False"), "the machine's own ptrace refuses it"
     assert said(str(library)) == "done done True True"
+
+
+def test_registers_that_cannot_be_set_say_what_to_install() -> None:
+    log = "Linux version 6.1.176\nuserspace - ptrace set fp regs failed, errno = 14\nKernel panic\n [<6002c0dd>]"
+    assert _why(log).startswith("userspace - ptrace set fp regs failed") and _why(log).endswith(COMPILER)
+    assert _why("Linux version 6.1.176\n") == "Linux version 6.1.176" and _why("") == "no message"

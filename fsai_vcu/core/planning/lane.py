@@ -43,7 +43,8 @@ VOTE_NONE = 0.5  # with no more confidence cones without a colour are not marked
 
 BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
-SURE_MIN = 0.5  # of that; with less the way is borne out only as far as the best way elsewhere is the same
+# Where it is less sure (0…1) that another way is worse, the way is borne out only as far as both are the same.
+SURE_MIN = 0.5
 ELSEWHERE_M, SAME_M = 1.5, 0.7  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD, ARCS_LEAST = 4, 2  # of the car, those believed from the last look included
 

@@ -36,7 +36,7 @@ BORDER_APART_M = 5.0  # … at most so far apart
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 MARGIN = (0.7, 1.8)  # as in `Known`, with true colours and cones alone; without, or with false cones in each look
-NEW_LOOK_M = 0.02  # of way since the last look, without which it says nothing new: each from one place is the same
+NEW_LOOK_M = 0.02  # of way between two looks that mark cones: from one place each look says the same
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
 
 
@@ -60,6 +60,7 @@ class LapStrategy:
         self._kept: Floats = NO_PATH  # the last path, in the vehicle frame …
         self._kept_at = Motion()  # … of then
         self._kept_confidence, self._kept_supported_m = 0.0, 0.0
+        self._voted_at_m = motion.distance_m  # where a lane found marked its cones last
         self._racing: Racing | None = None
         if self._laps > 1:  # a single lap leaves nothing to race
             from fsai_vcu.core.planning.racing import Racing  # slow to import, so not in the middle of a run
@@ -144,14 +145,13 @@ class LapStrategy:
         path = lane.path_m
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
-            if motion.distance_m > self._kept_at.distance_m + NEW_LOOK_M:
+            if abs(motion.distance_m - self._voted_at_m) > NEW_LOOK_M:
+                self._voted_at_m = motion.distance_m
                 memory.vote(cones.index, lane.side)
             self._middle = to_odometry(motion, lane.middle_m)
             self._kept, self._kept_at, self._kept_confidence = path, motion, lane.confidence
-            self._kept_supported_m = min(lane.supported_m, memory.view_m)
-            return Course(
-                path, supported_m=self._kept_supported_m, confidence=lane.confidence, note=lane.note
-            ), lane.side
+            self._kept_supported_m = supported_m = min(lane.supported_m, memory.view_m)
+            return Course(path, supported_m=supported_m, confidence=lane.confidence, note=lane.note), lane.side
         age_ns = motion.t_ns - self._kept_at.t_ns
         share = max(0.0, 1.0 - age_ns / (self._settings.keep_path_ns + 1))
         return self._kept_course(motion, share, lane.note), np.zeros(len(cones.xy_m))
