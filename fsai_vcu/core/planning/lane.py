@@ -17,7 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Bools, Floats, Ints
-from fsai_vcu.core.planning.cone_memory import SURE_SIDE, Cones
+from fsai_vcu.core.planning.cone_memory import SURE_SIDE, Cones, rows_of
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.values import Value
@@ -34,6 +34,7 @@ COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cone
 BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
+COST_CROSSED, ROW_COS = 0.5, 0.85
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
@@ -100,8 +101,8 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
         return none
     begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
-        begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count, dtype=bool))
-    line, margin, agreed_m = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.counted[ahead], known, settings)
+        begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count))
+    line, margin, agreed_m = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.stands[ahead], known, settings)
     line = resampled(np.concatenate((begun, line)), settings.path_step_m)
     for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
@@ -169,7 +170,8 @@ def _believed(before: Floats | None, cones: Cones, settings: PlannerSettings) ->
     turn = math.remainder(yaw - math.atan2(sin[end - 2], cos[end - 2]), 2.0 * math.pi)
     x, y = line[end].tolist()
     end_m = step_m * (end - car)
-    return line[:end], _Begin(beside & (along < end_m), x, y, yaw, turn / (2.0 * step_m), end_m)
+    stands = np.where(beside & (along < end_m), np.sign(lateral), 0.0)
+    return line[:end], _Begin(stands, x, y, yaw, turn / (2.0 * step_m), end_m)
 
 
 def _first_gap_m(along: Floats, settings: PlannerSettings) -> float:
@@ -214,7 +216,7 @@ def _doubts(stands: Floats, side: Floats, sure: float) -> tuple[float, str]:
 class _Begin(Value, frozen=True):
     """Place where the search begins."""
 
-    counted: Bools  # (N,) the cones beside the way up to there
+    stands: Floats  # (N,) sides of the cones beside the way up to there: +1 left, -1 right, 0 not beside it
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
@@ -229,7 +231,8 @@ class _Chains(Value, frozen=True):
     bend: Ints  # (P,) of the arc to each pose: place in the fan's bends
     parent: Ints  # (P,) among the poses of one arc less
     seen: Floats  # (3, N, P) the cones as the poses see them
-    open: Bools  # (N, P) cones that each chain has not counted yet
+    stands: Floats  # (N, P) side of each chain on which it has counted a cone: +1 left, -1 right, 0 not yet
+    expected: Floats  # (N, P) likewise, on which a cone has to stand that is next in such a row
 
 
 class _Fan(Value, frozen=True):
@@ -280,7 +283,7 @@ def _fan(settings: PlannerSettings) -> _Fan:
 
 
 def _search(
-    xy: Floats, side: Floats, begin: _Begin, counted: Bools, known: Known, settings: PlannerSettings
+    xy: Floats, side: Floats, begin: _Begin, stands: Floats, known: Known, settings: PlannerSettings
 ) -> tuple[Floats, float, float]:
     """Return the best chain of arcs from `begin` on, and how the best chain that leads elsewhere compares with it.
 
@@ -294,16 +297,16 @@ def _search(
     reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     known = replace(known, view_m=max(reach_m, known.view_m))
-    worth = _worth(side)
+    worth, rows = _worth(side), _rows(xy, side)
 
     def longer(chains: _Chains, beam: int, avoided: Floats | None = None) -> _Chains:
         """The best chains that are longer by an arc. avoided: (2,) place from which they end elsewhere."""
         ends = chains.poses.dot(fan.ends).reshape(-1, POSE)  # of the first pose's arcs, then of the second's, …
         beside = _beside(chains.seen, fan, step)
-        charge, as_border = _charge(beside, worth, chains.open)
+        charge, counted = _charge(beside, worth, chains)
         ends[:, COST] += np.bincount(beside.arc, charge, len(ends))
         ends[:, COST] += fan.bending_cost.take(chains.bend, axis=0).ravel()
-        empty = np.bincount(beside.arc, as_border, len(ends)) < BORDER_MIN
+        empty = np.bincount(beside.arc, np.abs(counted), len(ends)) < BORDER_MIN
         ends[:, COST] = _costs(ends, empty, known)
         if avoided is not None:
             dx, dy = ends[:, X] - avoided[0], ends[:, Y] - avoided[1]
@@ -316,14 +319,19 @@ def _search(
         poses[:, X] -= shift * poses[:, SIN]
         poses[:, Y] += shift * poses[:, COS]
         seen[1] -= shift
-        stays_open = np.ones((len(xy), len(ends)), dtype=bool)
-        stays_open[beside.cone, beside.arc] = as_border <= BORDER_MIN
-        return _Chains(poses, bend, parent, seen, chains.open.take(parent, axis=1) & stays_open.take(kept, axis=1))
+        newly = np.zeros((len(xy), len(ends)))
+        newly[beside.cone, beside.arc] = np.where(np.abs(counted) > BORDER_MIN, np.sign(counted), 0.0)
+        newly = newly.take(kept, axis=1)
+        before, expected = chains.stands.take(parent, axis=1), chains.expected.take(parent, axis=1)
+        stands = np.where(before == 0.0, newly, before)
+        carried = _carried(newly, stands, chains.poses.take(parent, axis=0), rows)
+        return _Chains(poses, bend, parent, seen, stands, np.where(expected == 0.0, carried, expected))
 
     yaw = begin.yaw_rad
     pose = np.array([[begin.x_m, begin.y_m, yaw, math.cos(yaw), math.sin(yaw), 0.0, 1.0]])
     bend = np.array([np.abs(fan.bends - begin.curvature_1pm).argmin()])
-    history = [_Chains(pose, bend, bend, _seen_from(pose, xy), ~counted[:, None])]
+    stands = stands[:, None]
+    history = [_Chains(pose, bend, bend, _seen_from(pose, xy), stands, _carried(stands, stands, pose, rows))]
     while len(history) <= levels:
         history.append(longer(history[-1], settings.beam))
     # Beyond what is seen one way is as good as another.
@@ -383,21 +391,59 @@ def _beside(seen: Floats, fan: _Fan, step_m: float) -> _Beside:
     return _Beside(cone, pose, pose * len(fan.bends) + bend, lateral_m)
 
 
-def _charge(beside: _Beside, worth: _Worth, open_: Bools) -> tuple[Floats, Floats]:
+class _Rows(Value, frozen=True):
+    """(T,) pairs of neighbours in a row of three and more cones, in both directions; the second has no sure side."""
+
+    before: Ints  # the cone in line before the pair; N where the third is the one behind
+    first: Ints
+    towards: Floats  # (T, 2) unit vectors to the second
+    into: Floats  # (N, T) makes of a number for each pair their sum for each cone that is the second of some
+
+
+def _rows(xy: Floats, side: Floats) -> _Rows:
+    """Return the rows in cones (N, 2) that are known to stand on these sides."""
+    rows, none = rows_of(xy), len(xy)
+    middle, one, other = rows.between.nonzero()
+    one, other = rows.whom[middle, one], rows.whom[middle, other]
+    before = np.concatenate((one, np.full(len(one), none)))
+    first, second = np.concatenate((middle, one)), np.concatenate((other, middle))
+    unsure = np.abs(side.take(second)) <= SURE_SIDE
+    before, first, second = before[unsure], first[unsure], second[unsure]
+    into = np.zeros((len(xy), len(first)))
+    into[second, np.arange(len(first))] = 1.0
+    towards = xy.take(second, axis=0) - xy.take(first, axis=0)
+    return _Rows(before, first, towards / np.hypot(*towards.T)[:, None], into)
+
+
+def _carried(newly: Floats, stands: Floats, starts: Floats, rows: _Rows) -> Floats:
+    """(N, P) sides on which cones are expected that are next in a row, after those that newly stand so.
+
+    The cone before in the row stands on that side, too, or the row is along the way.
+    stands: (N, P) of all; starts: (P, 7) poses from which the arcs begin beside which the new ones stand.
+    """
+    first = newly.take(rows.first, axis=0)
+    before = np.concatenate((stands, np.zeros((1, stands.shape[1])))).take(rows.before, axis=0)
+    along = rows.towards.dot(starts[:, COS : SIN + 1].T) > ROW_COS
+    return np.asarray(np.sign(rows.into.dot(first * (along | (first * before > 0.0)))))
+
+
+def _charge(beside: _Beside, worth: _Worth, chains: _Chains) -> tuple[Floats, Floats]:
     """(K,) the cost of each cone to the arc that it stands beside (less than 0: reward), and how much it is a border.
 
-    open_: (N, P) cones that the chain to each pose has not counted yet.
+    The latter is signed: left or right. A chain that has a cone on the other side than expected has crossed a border.
     """
     clear, beyond = np.minimum(np.maximum((np.abs(beside.lateral_m) - RAMP_FROM_M) / RAMP_SPAN_M, 0.0), 1.0)
     of_lane = 1.0 - beyond
     as_border = clear * of_lane
-    on_side = beside.cone + len(open_) * (beside.lateral_m <= 0.0)
-    charge = (
-        COST_IN_THE_WAY * (1.0 - clear)
-        + worth.wrong.take(on_side) * of_lane
-        - worth.reward.take(on_side) * as_border * open_[beside.cone, beside.pose]
-    )
-    return charge, as_border
+    is_right = beside.lateral_m <= 0.0
+    on_side = beside.cone + len(chains.stands) * is_right
+    open_ = chains.stands[beside.cone, beside.pose] == 0.0
+    expected = chains.expected[beside.cone, beside.pose]
+    side = 1.0 - 2.0 * is_right
+    crossed = open_ & (expected * side < 0.0)
+    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * crossed) * of_lane
+    reward = worth.reward.take(on_side) * as_border * (open_ & ~crossed)
+    return charge - reward, as_border * np.where(crossed, expected, side)
 
 
 def _costs(ends: Floats, empty: Bools, known: Known) -> Floats:
