@@ -76,6 +76,8 @@ NEWEST = 0.1  # share of the newest look in the average of how many cones turn o
 DISPLACED_M = 0.6  # by so much, all cones together, the doubt is that of a cone in each look that turns out to be none
 # Of way: in 10 m of a hairpin odometry drifts by some 0.4 m; the same times how far off a cone stands: it turns, too.
 LATELY_M, LATELY_M2 = 5.0, 15.0
+# A cone that comes into view again, and is missed, mostly stands elsewhere by now: share of its hits that a miss takes.
+STALE_MISSED = 0.5
 OUTVOTED_MOST = 2  # cones around the car whose colour the lane may outvote
 OUTVOTES = 3.0  # so many sure looks at a cone on the other side of the lane weigh as much as its colour
 
@@ -146,11 +148,15 @@ class ConeMemory:
             hits, misses = cones["hits"], cones["misses"]
             angle = aside(here)
             perhaps = (reach < self.view_m) & (angle < self._view_rad)
-            misses += ~seen * np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
+            missed = np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
+            stale = motion.distance_m - cones["seen_at_m"] > LATELY_M
+            if len(xy_m):
+                missed *= np.where(stale, np.maximum(1.0, STALE_MISSED * hits), 1.0)
+            misses += ~seen * missed
             self.total += int(np.count_nonzero((hits >= settings.hits_to_believe) & ~before))
             # Seen once or twice and then missed as often: not a cone.
             none = (hits < settings.hit_ratio_min * (hits + misses)) | ((hits <= 2.0) & (misses > hits))
-            self._none_per_look += NEWEST * (np.count_nonzero(none) - self._none_per_look)
+            self._none_per_look += NEWEST * (np.count_nonzero(none & ~stale) - self._none_per_look)
             keep = (
                 (here[:, 0] > -settings.behind_m)
                 & (reach < 3.0 * settings.range_max_m)

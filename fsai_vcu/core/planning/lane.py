@@ -297,7 +297,7 @@ def _search(
     reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     known = replace(known, view_m=max(reach_m, known.view_m))
-    worth, rows = _worth(side), _rows(xy, side)
+    worth, rows = _worth(side), _rows(xy)
 
     def longer(chains: _Chains, beam: int, avoided: Floats | None = None) -> _Chains:
         """The best chains that are longer by an arc. avoided: (2,) place from which they end elsewhere."""
@@ -355,6 +355,7 @@ class _Worth(Value, frozen=True):
     wrong: Floats  # cost there of its colour, or of what lanes found earlier say
     # Distance to a pose at which the cone may be a border's; inf where it is certainly the other border's.
     nearest_m: Floats
+    unsure: Bools  # whether it is not known to stand there
 
 
 def _worth(side: Floats) -> _Worth:
@@ -363,7 +364,7 @@ def _worth(side: Floats) -> _Worth:
     may_stand = agrees > -SURE_SIDE
     reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY)
     wrong = COST_WRONG_SIDE * np.maximum(0.0, -agrees)
-    return _Worth(reward.ravel(), wrong.ravel(), np.where(may_stand, NEAREST_M, np.inf).ravel())
+    return _Worth(reward.ravel(), wrong.ravel(), np.where(may_stand, NEAREST_M, np.inf).ravel(), agrees.ravel() <= SURE_SIDE)
 
 
 class _Beside(Value, frozen=True):
@@ -392,7 +393,7 @@ def _beside(seen: Floats, fan: _Fan, step_m: float) -> _Beside:
 
 
 class _Rows(Value, frozen=True):
-    """(T,) pairs of neighbours in a row of three and more cones, in both directions; the second has no sure side."""
+    """(T,) pairs of neighbours in a row of three and more cones, in both directions."""
 
     before: Ints  # the cone in line before the pair; N where the third is the one behind
     first: Ints
@@ -400,15 +401,13 @@ class _Rows(Value, frozen=True):
     into: Floats  # (N, T) makes of a number for each pair their sum for each cone that is the second of some
 
 
-def _rows(xy: Floats, side: Floats) -> _Rows:
-    """Return the rows in cones (N, 2) that are known to stand on these sides."""
+def _rows(xy: Floats) -> _Rows:
+    """Return the rows in cones (N, 2)."""
     rows, none = rows_of(xy), len(xy)
     middle, one, other = rows.between.nonzero()
     one, other = rows.whom[middle, one], rows.whom[middle, other]
     before = np.concatenate((one, np.full(len(one), none)))
     first, second = np.concatenate((middle, one)), np.concatenate((other, middle))
-    unsure = np.abs(side.take(second)) <= SURE_SIDE
-    before, first, second = before[unsure], first[unsure], second[unsure]
     into = np.zeros((len(xy), len(first)))
     into[second, np.arange(len(first))] = 1.0
     towards = xy.take(second, axis=0) - xy.take(first, axis=0)
@@ -440,7 +439,7 @@ def _charge(beside: _Beside, worth: _Worth, chains: _Chains) -> tuple[Floats, Fl
     open_ = chains.stands[beside.cone, beside.pose] == 0.0
     expected = chains.expected[beside.cone, beside.pose]
     side = 1.0 - 2.0 * is_right
-    crossed = open_ & (expected * side < 0.0)
+    crossed = open_ & (expected * side < 0.0) & worth.unsure.take(on_side)
     charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * crossed) * of_lane
     reward = worth.reward.take(on_side) * as_border * (open_ & ~crossed)
     return charge - reward, as_border * np.where(crossed, expected, side)
