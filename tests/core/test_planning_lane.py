@@ -328,6 +328,31 @@ def test_the_more_a_way_must_be_better_the_less_confidence() -> None:
     assert 1.0 > margins[0] > margins[1] > margins[2] > 0.3
 
 
+def beside_another(island_m: float, apart_m: float = 4.0) -> list[tuple[float, float]]:
+    """Cones seen on a straight lane with another one to its right, behind an island."""
+    borders = (HALF, -HALF, -HALF - island_m, -3.0 * HALF - island_m)
+    xy = [(s + 0.3 * abs(y), y) for y in borders for s in np.arange(1.0, 13.0, apart_m)]
+    return [(x, y) for x, y in xy if math.hypot(x, y) < 14.0 and abs(math.atan2(y, x)) < math.radians(55.0)]
+
+
+@pytest.mark.parametrize("island_m", [2.5, 4.0, 6.0])
+def test_no_way_leads_through_a_row_of_cones_without_colour(island_m: float) -> None:
+    """One look, from a car that is in its lane: what comes after a cone in its row is of the same border."""
+    cones = beside_another(island_m)
+    lane = find_lane(cones_of(cones, [0.0] * len(cones)), Known(0.0, HALF, 14.0), 0.0, SETTINGS)
+    assert lane.supported_m > 8.0 and off_middle(lane.path_m, math.inf) < 0.3
+
+
+def test_a_row_beyond_a_sharp_bend_does_not_close_it() -> None:
+    """The outer border's cone that stands straight on from the inner one's end has the colour of its own border."""
+    inner = [(1.0, HALF), (4.0, HALF)]
+    outer = [(1.0, -HALF), (4.0, -HALF), (7.0, -1.2), (8.6, HALF), (9.0, 4.4), (8.4, 7.2), (8.4, 10.0)]
+    inner += [(5.2, 3.6), (5.2, 6.6), (5.2, 9.6)]
+    cones = cones_of(inner + outer, [1.0] * len(inner) + [-1.0] * len(outer))
+    lane = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)
+    assert lane.confidence > 0.9 and lane.path_m[:, 1].max() > 5.0
+
+
 @pytest.mark.parametrize(
     ("count", "note"), [(0, "no cones"), (1, "no lane among 1 cone"), (3, "no lane among 3 cones")]
 )

@@ -82,6 +82,18 @@ def test_a_real_cone_survives_misses() -> None:
     assert len(memory.around(HERE).xy_m) == 1
 
 
+@pytest.mark.parametrize(("cones", "left"), [(1, 1), (0, 2)])
+def test_a_cone_come_into_view_again_is_soon_none_if_missed(cones: int, left: int) -> None:
+    """Odometry has drifted since. Looks without any cone say nothing of it."""
+    memory = ConeMemory(SETTINGS)
+    other, there = np.array([[6.0, -1.5]]), Motion(x_m=1.0, distance_m=41.0)
+    for _ in range(40):
+        memory.add(np.array([[6.0, 1.5], [6.0, -1.5]]), colors(1, 2), HERE)
+    for _ in range(6):
+        memory.add((other - (1.0, 0.0))[:cones], colors(2)[:cones], there)
+    assert len(memory) == left
+
+
 def test_cones_far_behind_are_forgotten() -> None:
     memory = ConeMemory(SETTINGS)
     for _ in range(3):

@@ -46,6 +46,7 @@ BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
 # Where it is less sure (0…1) that another way is worse, the way is borne out only as far as both are the same.
 SURE_MIN = 0.5
+PARTING_M = 2.0  # beyond what the car needs to stop: ways that part there are no doubt yet
 ELSEWHERE_M, SAME_M = 1.5, 0.7  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD, ARCS_LEAST = 4, 2  # of the car, those believed from the last look included
 
@@ -76,7 +77,8 @@ class Known(Value, frozen=True):
 
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
     stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
-    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been.
+    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been; margin: by which
+    a way must be better than another; need_m: way that the car needs to stop.
     """
 
     curvature_1pm: float
@@ -85,6 +87,7 @@ class Known(Value, frozen=True):
     middle_m: Floats | None = None
     driven_m: Floats | None = None
     margin: float = 1.0
+    need_m: float = math.inf
 
 
 def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettings) -> Lane:
@@ -108,7 +111,9 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
         if end_m <= 0.0:
             return none
-    middle = line
+    sure = 1.0 - math.exp(-margin / known.margin)
+    one_way_m = math.inf if sure >= SURE_MIN else agreed_m
+    middle = line[: int(min(len(line), _beside_car(line) + one_way_m / settings.path_step_m))]
     line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
     start = _beside_car(line)
@@ -118,12 +123,12 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     path = resampled(way, settings.path_step_m)
     sureness = np.minimum(np.maximum(1.2 - along / VOTE_M, 0.2), 1.0)
     vote = np.where((along > -2.0) & (along < VOTE_M), sides * sureness, 0.0)
-    supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
+    supported_m = min(end_m, settings.path_step_m * (len(path) - 1), one_way_m)
     beside = (along > 0.0) & (along <= end_m)
-    sure = 1.0 - math.exp(-margin / known.margin)
-    confidence, note = _doubts(sides[beside], cones.side[beside], sure)
-    if sure < SURE_MIN:
-        supported_m = min(supported_m, agreed_m)
+    # A car that can stop before its ways part sees more until then.
+    here = sure + (1.0 - sure) * min(max((agreed_m - known.need_m) / PARTING_M, 0.0), 1.0)
+    confidence, note = _doubts(sides[beside], cones.side[beside], here)
+    vote[along > agreed_m] *= sure / max(here, 1e-9)
     # A lane in doubt does not say where cones without a colour stand, or looks in doubt would make each other sure.
     vote *= np.where(cones.color == 0, max(0.0, confidence - VOTE_NONE) / (1.0 - VOTE_NONE), confidence)
     return Lane(path, middle, vote, half_width, supported_m, confidence, note)
@@ -439,8 +444,9 @@ def _charge(beside: _Beside, worth: _Worth, chains: _Chains) -> tuple[Floats, Fl
     open_ = chains.stands[beside.cone, beside.pose] == 0.0
     expected = chains.expected[beside.cone, beside.pose]
     side = 1.0 - 2.0 * is_right
-    crossed = open_ & (expected * side < 0.0) & worth.unsure.take(on_side)
-    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * crossed) * of_lane
+    against = open_ & (expected * side < 0.0)
+    crossed = against & worth.unsure.take(on_side)
+    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * against) * of_lane
     reward = worth.reward.take(on_side) * as_border * (open_ & ~crossed)
     return charge - reward, as_border * np.where(crossed, expected, side)
 
