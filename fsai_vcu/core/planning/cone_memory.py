@@ -76,6 +76,7 @@ NEWEST = 0.1  # share of the newest look in the average of how many cones turn o
 DISPLACED_M = 0.6  # by so much, all cones together, the doubt is that of a cone in each look that turns out to be none
 # Of way: in 10 m of a hairpin odometry drifts by some 0.4 m; the same times how far off a cone stands: it turns, too.
 LATELY_M, LATELY_M2 = 5.0, 15.0
+DRIFTED_M = 1.3  # a cone come into view again may stand so far from its place in memory: from there on it counts
 # A cone that comes into view again, and is missed, mostly stands elsewhere by now: share of its hits that a miss takes.
 STALE_MISSED = 0.5
 OUTVOTED_MOST = 2  # cones around the car whose colour the lane may outvote
@@ -123,14 +124,15 @@ class ConeMemory:
             if len(cones):
                 xy = cones["xy"]
                 nearest, gap, mutual = matched(at, xy)
-                same = mutual & (gap <= settings.same_cone_m)
+                moved = motion.distance_m - cones["seen_at_m"] > LATELY_M
+                same = mutual & (gap <= np.where(moved.take(nearest), DRIFTED_M, settings.same_cone_m))
                 new = ~same & (gap > DUPLICATE_M)
                 known = nearest[same]
                 seen[known] = True
                 cones["hits"][known] += 1
-                off = at[same] - xy[known]
-                self._displaced_m = math.hypot(*off.sum(axis=0)) / max(1, len(known))
-                share = 1.0 / np.minimum(cones["hits"][known], settings.average_over)
+                off, fresh = at[same] - xy[known], ~moved[known]
+                self._displaced_m = math.hypot(*off[fresh].sum(axis=0)) / max(1, np.count_nonzero(fresh))
+                share = np.where(fresh, 1.0 / np.minimum(cones["hits"][known], settings.average_over), 1.0)
                 xy[known] += share[:, None] * off
                 cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
                 cones["votes"][known, color[same]] += 1.0

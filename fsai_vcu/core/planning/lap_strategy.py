@@ -36,6 +36,7 @@ BORDER_APART_M = 5.0  # … at most so far apart
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 MARGIN = (0.7, 1.8)  # as in `Known`, with true colours and cones alone; without, or with false cones in each look
+UNTRUSTED_M = 10.0  # of way, that a car needs more to stop before a fork, without colours or among false cones
 NEW_LOOK_M = 0.02  # of way between two looks that mark cones: from one place each look says the same
 AGREED_M, AGREED_MORE_M = 0.4, 1.0  # paths of two looks so near to each other agree; so much more by each look
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
@@ -141,7 +142,7 @@ class LapStrategy:
         driven_xy_m = to_vehicle(motion, np.array(driven)) if driven else None
         untrusted = max(1.0 - _share_with_colours(cones), min(1.0, (1.0 - self._known) / KNOWN_SPAN))
         margin = MARGIN[0] + untrusted * (MARGIN[1] - MARGIN[0])
-        need_m = braking_m(motion.speed_mps, LAP_BRAKING_MPS2) + PARTING_M
+        need_m = braking_m(motion.speed_mps, LAP_BRAKING_MPS2) + PARTING_M + UNTRUSTED_M * untrusted
         known = Known(curvature, self._half_width_m, memory.view_m, middle, driven_xy_m, margin, need_m)
         lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m
