@@ -312,6 +312,15 @@ def test_a_fork_is_doubted() -> None:
     assert 0.0 < lane.supported_m <= 7.5
 
 
+def test_a_fork_that_the_car_can_stop_before_is_no_doubt_yet() -> None:
+    cones = cones_of(FORK, [0.0] * 18)
+    near, far = (find_lane(cones, Known(0.0, HALF, need_m=need_m), 0.0, SETTINGS) for need_m in (2.5, 0.5))
+    assert near.confidence < 0.3 and far.confidence > 0.9
+    assert far.supported_m == near.supported_m <= 7.5 and far.middle_m[-1, 0] < 8.0
+    beyond = np.array(FORK)[:, 0] > 8.0
+    assert np.abs(far.side[beyond]).max() < 0.1, "which lane they are of is not known"
+
+
 def test_a_lane_in_doubt_marks_only_cones_with_a_colour() -> None:
     cones = cones_of(FORK, [0.0, 0.0, 1.0, -1.0] + [0.0] * 14)
     cones.color[2:4] = 1, 2

@@ -94,6 +94,20 @@ def test_a_cone_come_into_view_again_is_soon_none_if_missed(cones: int, left: in
     assert len(memory) == left
 
 
+def test_a_cone_come_into_view_again_counts_where_it_stands_now() -> None:
+    """Odometry has drifted by more than two cones may be apart: it is no other cone, and keeps its colour."""
+    memory = ConeMemory(SETTINGS)
+    for _ in range(10):
+        memory.add(np.array([[6.0, 1.5]]), colors(1), HERE)
+    there = Motion(distance_m=40.0)
+    memory.add(np.array([[6.9, 2.2]]), colors(0), there)
+    cones = memory.around(there)
+    assert cones.xy_m == pytest.approx(np.array([[6.9, 2.2]])) and cones.color.tolist() == [1]
+    assert memory.doubt == 0.0
+    memory.add(np.array([[6.9, 3.3]]), colors(0), there)
+    assert len(memory) == 2, "from one place a cone stands where it stands"
+
+
 def test_cones_far_behind_are_forgotten() -> None:
     memory = ConeMemory(SETTINGS)
     for _ in range(3):

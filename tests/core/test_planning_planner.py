@@ -168,6 +168,24 @@ def test_without_cones_a_path_is_kept_as_far_as_borne_out() -> None:
         assert kept.note == "no cones are seen" + ": path kept from 1.0 s ago" * (left_m > 0.0)
 
 
+def test_a_path_is_kept_as_far_as_the_looks_before_it_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last look before the detector fails may be the one that false cones have bent."""
+    planner, plan = after_three_looks()
+    assert plan.supported_m > 9.0
+
+    def bent(cones: Cones, *known: Any) -> Lane:
+        lane = find_lane(cones, *known)
+        path = lane.path_m.copy()
+        path[10:, 1] += 0.2 * np.arange(1, len(path) - 9)
+        return replace(lane, path_m=path)
+
+    monkeypatch.setattr(lap_strategy, "find_lane", bent)
+    planner.on_cones(observation(LANE, 4), Motion(4))
+    kept = planner.on_cones(observation([], 5), Motion(5))
+    assert kept is not None and len(kept.path_m) > 0
+    assert 4.5 < kept.supported_m < 6.5
+
+
 def test_with_cones_that_are_no_lane_a_path_is_kept_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     planner, _ = after_three_looks()
     nowhere = find_lane(Cones(NO_PATH, NONE, NONE, NONE), Known(0.0, 1.5), 0.0, PlannerSettings())

@@ -131,7 +131,7 @@ class ConeMemory:
                 seen[known] = True
                 cones["hits"][known] += 1
                 off, fresh = at[same] - xy[known], ~moved[known]
-                self._displaced_m = math.hypot(*off[fresh].sum(axis=0)) / max(1, np.count_nonzero(fresh))
+                self._displaced_m = math.hypot(*off[fresh].sum(axis=0)) / max(1, int(np.count_nonzero(fresh)))
                 share = np.where(fresh, 1.0 / np.minimum(cones["hits"][known], settings.average_over), 1.0)
                 xy[known] += share[:, None] * off
                 cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades

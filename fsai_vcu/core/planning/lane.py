@@ -34,7 +34,8 @@ COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cone
 BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
-COST_CROSSED, ROW_COS = 0.5, 0.85
+COST_CROSSED = 0.5  # of a cone on the other side of a chain than others of its row: no reward, and this
+ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's borders, not two cones across it
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
@@ -46,7 +47,7 @@ BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
 # Where it is less sure (0…1) that another way is worse, the way is borne out only as far as both are the same.
 SURE_MIN = 0.5
-PARTING_M = 2.0  # beyond what the car needs to stop: ways that part there are no doubt yet
+PARTING_M = 2.0  # ways that part so far beyond the way to stop are no doubt yet
 ELSEWHERE_M, SAME_M = 1.5, 0.7  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD, ARCS_LEAST = 4, 2  # of the car, those believed from the last look included
 
@@ -77,8 +78,8 @@ class Known(Value, frozen=True):
 
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
     stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
-    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been; margin: by which
-    a way must be better than another; need_m: way that the car needs to stop.
+    still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been; margin: of
+    cost, by which a way must be better than another; need_m: of way, to stop.
     """
 
     curvature_1pm: float
@@ -237,7 +238,7 @@ class _Chains(Value, frozen=True):
     parent: Ints  # (P,) among the poses of one arc less
     seen: Floats  # (3, N, P) the cones as the poses see them
     stands: Floats  # (N, P) side of each chain on which it has counted a cone: +1 left, -1 right, 0 not yet
-    expected: Floats  # (N, P) likewise, on which a cone has to stand that is next in such a row
+    expected: Floats  # (N, P) side on which it has to stand: after others in a row, or 0
 
 
 class _Fan(Value, frozen=True):
@@ -369,7 +370,8 @@ def _worth(side: Floats) -> _Worth:
     may_stand = agrees > -SURE_SIDE
     reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY)
     wrong = COST_WRONG_SIDE * np.maximum(0.0, -agrees)
-    return _Worth(reward.ravel(), wrong.ravel(), np.where(may_stand, NEAREST_M, np.inf).ravel(), agrees.ravel() <= SURE_SIDE)
+    nearest_m = np.where(may_stand, NEAREST_M, np.inf)
+    return _Worth(reward.ravel(), wrong.ravel(), nearest_m.ravel(), (agrees <= SURE_SIDE).ravel())
 
 
 class _Beside(Value, frozen=True):
