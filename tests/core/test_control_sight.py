@@ -10,7 +10,16 @@ import pytest
 
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.sight import CLEAR, CLEAR_APART_M, CLEAR_M, CLEAR_OVER_M, LOOK_S, STEADY_M, Sight
+from fsai_vcu.core.control.sight import (
+    CLEAR,
+    CLEAR_APART_M,
+    CLEAR_M,
+    CLEAR_OVER_M,
+    DOUBTFUL,
+    LOOK_S,
+    STEADY_M,
+    Sight,
+)
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -59,8 +68,10 @@ def test_the_shortest_sight_lately_counts() -> None:
 
 UNCLEAR: dict[str, Callable[[Looks], Looks]] = {
     "doubt": lambda seen: [(at_m, CLEAR - 0.01, sight_m) for at_m, _, sight_m in seen],
+    "much doubt": lambda seen: [(at_m, DOUBTFUL - 0.01, sight_m) for at_m, _, sight_m in seen],
     "short sight": lambda seen: [(at_m, sure, CLEAR_M - 0.1) for at_m, sure, _ in seen],
-    "doubt now and then": lambda seen: [(at, CLEAR - 0.01 if at % 14.0 == 0.0 else sure, m) for at, sure, m in seen],
+    "doubt in every third look": lambda seen: [(at, 0.8 if at % 1.5 == 0.0 else sure, m) for at, sure, m in seen],
+    "much doubt now and then": lambda seen: [(at, 0.4 if at % 14.0 == 0.0 else sure, m) for at, sure, m in seen],
     "looks far apart": lambda seen: seen[:: round((CLEAR_APART_M + 0.5) / 0.5)],
 }
 
@@ -70,7 +81,12 @@ def test_looks_that_are_not_clear_earn_none(why: str) -> None:
     assert allowed_mps(UNCLEAR[why](looks(100.0))) == 0.0
 
 
-@pytest.mark.parametrize("why", ["doubt", "short sight"])
+def test_a_look_in_doubt_that_others_outvote_ends_nothing() -> None:
+    seen = [(at_m, DOUBTFUL if at_m % 4.5 == 0.0 else sure, sight_m) for at_m, sure, sight_m in looks(100.0)]
+    assert allowed_mps(seen) == allowed_mps(looks(100.0)) > 0.0
+
+
+@pytest.mark.parametrize("why", ["much doubt", "short sight"])
 def test_from_an_unclear_look_on_the_allowed_speed_falls(why: str) -> None:
     """By so little in the first metre that it does not brake hard, and to nothing until it is earned again."""
     seen = looks(30.0, sight_m=2.0 * SIGHT_M)

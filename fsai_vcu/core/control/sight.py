@@ -16,7 +16,9 @@ from fsai_vcu.core.driving import Plan
 
 # A look bears out the path well with such a confidence, so long a supported path, and so little way since the last one.
 CLEAR, CLEAR_M, CLEAR_APART_M = 0.9, 9.0, 1.5
-CLEAR_OVER_M = 15.0  # of way, on which every look must have done so
+CLEAR_OVER_M = 15.0  # of way, on which the looks must have done so …
+# … but for such a share of those within STEADY_M, with at least so much confidence: the others outvote them.
+UNSURE_MOST, DOUBTFUL = 0.2, 0.5
 STEADY_M = 4.0  # of way: cones come into sight one by one, and the speed follows the shortest sight among them
 LOOK_S = 0.1  # a look is so old when the next one comes
 UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look must not brake hard
@@ -26,19 +28,21 @@ class Sight:
     """The looks of a run, and whether the car drives by sight."""
 
     def __init__(self) -> None:
-        self._lately: deque[tuple[float, float]] = deque()  # how far driven (m), and the sight from there (m)
+        # How far driven (m), the sight from there (m), and whether the look was sure.
+        self._lately: deque[tuple[float, float, bool]] = deque()
         self._unclear_m = 0.0  # how far driven when a look last did not bear out the path well
         self._driven: tuple[float, float] | None = None  # how far, and how fast, when the car last drove by sight
 
     def look(self, plan: Plan, sight_m: float, seen_from_m: float) -> None:
         """Take in the next look, from a place so far driven."""
         lately = self._lately
-        clear = plan.confidence >= CLEAR and plan.supported_m >= CLEAR_M
-        if not (clear and lately and seen_from_m - lately[-1][0] <= CLEAR_APART_M):
-            self._unclear_m = seen_from_m
-        lately.append((seen_from_m, sight_m))
+        doubtful = plan.confidence < DOUBTFUL or plan.supported_m < CLEAR_M
+        followed = bool(lately) and seen_from_m - lately[-1][0] <= CLEAR_APART_M
+        lately.append((seen_from_m, sight_m, plan.confidence >= CLEAR))
         while lately[0][0] < seen_from_m - STEADY_M:
             lately.popleft()
+        if doubtful or not followed or sum(not sure for *_, sure in lately) > UNSURE_MOST * len(lately):
+            self._unclear_m = seen_from_m
 
     def ceiling(self, braking_mps2: float, reaction_s: float, now_m: float, speed: float, at_m: Floats) -> Floats:
         """(N,) square of the speed that sight allows at places along the driven path; 0 where the car must be careful.
@@ -53,7 +57,7 @@ class Sight:
         else:
             last_m, last_mps = self._driven
             falling = np.maximum(last_mps**2 - 2.0 * UNCLEAR_MPS2 * (at_m - last_m), 0.0)
-        sight_m = max(0.0, min(sight_m for _, sight_m in self._lately))
+        sight_m = max(0.0, min(sight_m for _, sight_m, _ in self._lately))
         late_mps = braking_mps2 * (reaction_s + LOOK_S)
         stops_mps = math.sqrt(late_mps**2 + 2.0 * braking_mps2 * sight_m) - late_mps
         allowed: Floats = np.minimum(falling, stops_mps**2)
