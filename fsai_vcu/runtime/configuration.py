@@ -447,7 +447,7 @@ def _shown(value: object) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, WheelMapping):
-        return str(value)
+        return "{ " + ", ".join(f'{wheel} = "{value.source_of(wheel)}"' for wheel in WHEELS) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_shown(each) for each in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)

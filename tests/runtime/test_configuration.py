@@ -207,6 +207,15 @@ def test_an_empty_file_is_the_defaults_and_every_key_can_be_said() -> None:
     assert len({(key.table, key.name) for key in KEYS}) == len(KEYS)
 
 
+def test_what_is_shown_of_a_setting_can_stand_in_the_file() -> None:
+    configuration = parsed('[car]\nwheel_mapping = { fl = "fr", fr = "fl" }\n[can]\ndbc_files = []\n')
+    for line in configuration.described()[: len(KEYS)]:
+        table, setting = line.split(" ", 1)
+        again = parsed(f"{table}\n{setting}\n")
+        key = table[1:-1], setting.split(" = ")[0]
+        assert again.value(*key) == configuration.value(*key), line
+
+
 def test_the_installed_configuration_is_valid(tmp_path: Path) -> None:
     text = (CHECKOUT / "systemd" / "etc" / "fsai.toml").read_text()
     limits = CHECKOUT / "systemd" / "etc" / "limits.toml"
