@@ -352,6 +352,13 @@ def test_no_way_leads_through_a_row_of_cones_without_colour(island_m: float) -> 
     assert lane.path_m[-1, 0] > 9.0 and off_middle(lane.path_m, math.inf) < 0.3
 
 
+def test_cones_closer_than_any_border_has_make_no_rows() -> None:
+    xy = np.random.default_rng(1).uniform((0.0, -3.0), (6.0, 3.0), (150, 2))
+    assert len(finder._rows(xy).first) == 0
+    assert len(finder._rows(lane_cones(20.0, colored=False).xy_m).first) > 8
+    assert np.isfinite(find_lane(cones_of(xy.tolist(), [0.0] * 150), Known(0.0, HALF), 0.0, SETTINGS).path_m).all()
+
+
 def test_a_row_beyond_a_sharp_bend_does_not_close_it() -> None:
     """The outer border's cone that stands straight on from the inner one's end has the colour of its own border."""
     inner = [(1.0, HALF), (4.0, HALF)]

@@ -9,6 +9,8 @@ import pytest
 
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
 from fsai_vcu.core.planning.cone_memory import (
+    AROUND_MOST,
+    IN_ROWS_MOST,
     OUTVOTED_MOST,
     SURE_SIDE,
     ConeMemory,
@@ -115,6 +117,23 @@ def test_cones_far_behind_are_forgotten() -> None:
     for x, left in ((3.0 + SETTINGS.behind_m - 0.1, 1), (3.0 + SETTINGS.behind_m + 0.1, 0)):
         memory.add(np.zeros((0, 2)), colors(), Motion(x_m=x, distance_m=x))
         assert len(memory) == left
+
+
+def test_of_ever_so_many_cones_the_nearest_count() -> None:
+    """A message may have 2,000; tables over all of them and their neighbours would take gigabytes."""
+    memory, draw = ConeMemory(SETTINGS), np.random.default_rng(2)
+    xy = draw.uniform((0.0, -8.0), (16.0, 8.0), (2000, 2))
+    for _ in range(3):
+        memory.add(xy, colors(*[0] * len(xy)), HERE)
+    cones = memory.around(HERE)
+    assert len(cones.xy_m) == AROUND_MOST
+    away = np.hypot(*xy.T)
+    assert np.hypot(*cones.xy_m.T).max() < np.sort(away)[AROUND_MOST + 100]
+    rows = rows_of(xy[:300])
+    assert rows.whom.shape[1] == IN_ROWS_MOST
+    for cone in range(0, 300, 50):
+        gap = np.sort(np.hypot(*(xy[:300] - xy[cone]).T))
+        assert np.hypot(*(xy[rows.whom[cone]] - xy[cone]).T).max() == pytest.approx(gap[IN_ROWS_MOST])
 
 
 def test_false_cones_do_not_gather_before_a_standing_car() -> None:

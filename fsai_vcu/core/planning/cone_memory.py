@@ -70,6 +70,8 @@ MISSED_AT_THE_EDGE = 1.0 / 3.0
 GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
 # The cones of a border stand in a row: so near each other, and turning so little (cosine of the angle) that it is sure.
 CHAIN_GAP_M, CHAIN_COS = 5.0, 0.9
+# A track has no more cones in range than that, nor a cone so many neighbours; a message may.
+AROUND_MOST, IN_ROWS_MOST = 200, 16
 CHAIN_PASSES = 2  # so many wrong colours one after the other are found
 EXPECTED = 0.5  # the side of a cone in line with a border's end
 NEWEST = 0.1  # share of the newest look in the average of how many cones turn out to be none
@@ -168,11 +170,14 @@ class ConeMemory:
             self._cones = cones if np.count_nonzero(keep) == len(keep) else cones[keep]
 
     def around(self, motion: Motion) -> Cones:
-        """The cones believed, as seen from `motion`."""
+        """The cones believed, as seen from `motion`; the nearest of ever so many."""
         known = self._cones
         here = to_vehicle(motion, known["xy"])
         believed = known["hits"] >= self._settings.hits_to_believe
-        index = (believed & (np.hypot(here[:, 0], here[:, 1]) <= self._settings.range_max_m)).nonzero()[0]
+        reach = np.hypot(here[:, 0], here[:, 1])
+        index = (believed & (reach <= self._settings.range_max_m)).nonzero()[0]
+        if len(index) > AROUND_MOST:
+            index = np.sort(index[reach[index].argsort(kind="stable")[:AROUND_MOST]])
         here = here[index]
         seen = known["votes"][index]
         votes = seen.copy()
@@ -253,7 +258,11 @@ def rows_of(xy_m: Floats) -> Rows:
     count = len(xy_m)
     dx, dy = xy_m[:, 0] - xy_m[:, :1], xy_m[:, 1] - xy_m[:, 1:]
     length = np.hypot(dx, dy)
-    pair = ((length > 0.0) & (length < CHAIN_GAP_M)).ravel().nonzero()[0]
+    near = (length > 0.0) & (length < CHAIN_GAP_M)
+    if count and np.maximum.reduce(near.sum(axis=1)) > IN_ROWS_MOST:
+        nearest_m = np.partition(np.where(near, length, np.inf), IN_ROWS_MOST - 1, axis=1)
+        near &= length <= nearest_m[:, IN_ROWS_MOST - 1, None]
+    pair = near.ravel().nonzero()[0]
     cone, neighbour = np.divmod(pair, count)
     place = np.arange(len(cone)) - cone.searchsorted(cone)  # the neighbour's among those of its cone
     shape = count + 1, int(np.maximum.reduce(place, initial=0)) + 1

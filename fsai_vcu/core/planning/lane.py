@@ -35,6 +35,7 @@ BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
 COST_CROSSED = 0.5  # of a cone on the other side of a chain than others of its row: no reward, and this
+ROWS_MOST = 5000  # pairs; cones that stand so close to each other make no rows
 ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's borders, not two cones across it
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
@@ -415,6 +416,8 @@ def _rows(xy: Floats) -> _Rows:
     one, other = rows.whom[middle, one], rows.whom[middle, other]
     before = np.concatenate((one, np.full(len(one), none)))
     first, second = np.concatenate((middle, one)), np.concatenate((other, middle))
+    if len(first) > ROWS_MOST:
+        before, first, second = before[:0], first[:0], second[:0]
     into = np.zeros((len(xy), len(first)))
     into[second, np.arange(len(first))] = 1.0
     towards = xy.take(second, axis=0) - xy.take(first, axis=0)
