@@ -70,7 +70,7 @@ UNCLEAR: dict[str, Callable[[Looks], Looks]] = {
     "doubt": lambda seen: [(at_m, CLEAR - 0.01, sight_m) for at_m, _, sight_m in seen],
     "much doubt": lambda seen: [(at_m, DOUBTFUL - 0.01, sight_m) for at_m, _, sight_m in seen],
     "short sight": lambda seen: [(at_m, sure, CLEAR_M - 0.1) for at_m, sure, _ in seen],
-    "doubt in every third look": lambda seen: [(at, 0.8 if at % 1.5 == 0.0 else sure, m) for at, sure, m in seen],
+    "doubt in every fourth look": lambda seen: [(at, 0.8 if at % 2.0 == 0.0 else sure, m) for at, sure, m in seen],
     "much doubt now and then": lambda seen: [(at, 0.4 if at % 14.0 == 0.0 else sure, m) for at, sure, m in seen],
     "looks far apart": lambda seen: seen[:: round((CLEAR_APART_M + 0.5) / 0.5)],
 }
@@ -82,7 +82,7 @@ def test_looks_that_are_not_clear_earn_none(why: str) -> None:
 
 
 def test_a_look_in_doubt_that_others_outvote_ends_nothing() -> None:
-    seen = [(at_m, DOUBTFUL if at_m % 4.5 == 0.0 else sure, sight_m) for at_m, sure, sight_m in looks(100.0)]
+    seen = [(at_m, DOUBTFUL if at_m % 3.0 == 0.0 else sure, sight_m) for at_m, sure, sight_m in looks(100.0)]
     assert allowed_mps(seen) == allowed_mps(looks(100.0)) > 0.0
 
 

@@ -106,8 +106,29 @@ def test_a_cone_come_into_view_again_counts_where_it_stands_now() -> None:
     cones = memory.around(there)
     assert cones.xy_m == pytest.approx(np.array([[6.9, 2.2]])) and cones.color.tolist() == [1]
     assert memory.doubt == 0.0
+    assert not memory.sure(cones.index).any(), "one look has found it there"
     memory.add(np.array([[6.9, 3.3]]), colors(0), there)
     assert len(memory) == 2, "from one place a cone stands where it stands"
+
+
+def test_a_cone_of_the_other_colour_is_another_one() -> None:
+    """Beyond a border the next lane's begins, back to back."""
+    memory, there = ConeMemory(SETTINGS), Motion(distance_m=20.0)
+    for _ in range(10):
+        memory.add(np.array([[6.0, 1.5]]), colors(1), HERE)
+    for _ in range(2):
+        memory.add(np.array([[6.0, 2.6]]), colors(2), there)
+    cones = memory.around(there)
+    assert dict(zip(cones.xy_m[:, 1].round(1).tolist(), cones.side.tolist(), strict=True))[2.6] == -1.0
+
+
+def test_cones_that_odometry_has_moved_are_no_doubt() -> None:
+    memory, there = ConeMemory(SETTINGS), Motion(distance_m=20.0)
+    for _ in range(10):
+        memory.add(np.array([[6.0, 1.5], [5.0, -1.5], [7.0, -1.5]]), colors(1, 2, 2), HERE)
+    for _ in range(8):
+        memory.add(np.array([[6.0, 1.5]]), colors(1), there)
+    assert len(memory) == 1 and memory.doubt == 0.0
 
 
 def test_cones_far_behind_are_forgotten() -> None:

@@ -186,6 +186,36 @@ def test_a_path_is_kept_as_far_as_the_looks_before_it_agree(monkeypatch: pytest.
     assert 4.5 < kept.supported_m < 6.5
 
 
+@pytest.mark.parametrize(("speed_mps", "hz"), [(5.0, 20), (5.0, 4), (12.0, 10)])
+def test_a_slow_detector_keeps_its_path_as_well(speed_mps: float, hz: int) -> None:
+    lane = [(x, y) for x in np.arange(0.0, 80.0, 3.0) for y in (1.5, -1.5)]
+    planner = planner_for(Ami.AUTOCROSS)
+    for look in range(round(40.0 / speed_mps * hz) + 1):
+        x_m, t_ns = look * speed_mps / hz, look * 1_000_000_000 // hz
+        there = Motion(t_ns, x_m, speed_mps=speed_mps, distance_m=x_m)
+        seen = [(x - x_m, y) for x, y in lane if 0.5 < x - x_m < 13.0]
+        plan = planner.on_cones(observation(seen if x_m < 40.0 else [], t_ns), there)
+    assert plan is not None and plan.supported_m > 3.0 and plan.confidence > 0.9
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "colored", "doubted"), [(2.0, True, False), (8.0, True, True), (2.0, False, True)]
+)
+def test_a_fork_is_a_doubt_by_speed_and_by_colours(
+    monkeypatch: pytest.MonkeyPatch, speed_mps: float, colored: bool, doubted: bool
+) -> None:
+    """Ways that part so far ahead: a slow car among cones with colours sees more of them before it has to know."""
+    planner, asked = planner_for(Ami.AUTOCROSS), []
+    monkeypatch.setattr(
+        lap_strategy, "find_lane", lambda cones, known, *_: asked.append(known) or find_lane(cones, known, *_)
+    )
+    colour = {True: (int(ConeColor.BLUE), int(ConeColor.YELLOW)), False: (0, 0)}[colored]
+    for step in range(60):
+        look = ConeObservation(step, np.array(LANE), np.array([colour[y < 0.0] for _, y in LANE]), np.ones(len(LANE)))
+        planner.on_cones(look, Motion(step, speed_mps=speed_mps))
+    assert bool(asked[-1].need_m > 8.0) is doubted
+
+
 def test_with_cones_that_are_no_lane_a_path_is_kept_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     planner, _ = after_three_looks()
     nowhere = find_lane(Cones(NO_PATH, NONE, NONE, NONE), Known(0.0, 1.5), 0.0, PlannerSettings())

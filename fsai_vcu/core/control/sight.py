@@ -17,8 +17,8 @@ from fsai_vcu.core.driving import Plan
 # A look bears out the path well with such a confidence, so long a supported path, and so little way since the last one.
 CLEAR, CLEAR_M, CLEAR_APART_M = 0.9, 9.0, 1.5
 CLEAR_OVER_M = 15.0  # of way, on which the looks must have done so …
-# … but for such a share of those within STEADY_M, with at least so much confidence: the others outvote them.
-UNSURE_MOST, DOUBTFUL = 0.2, 0.5
+# … but for such a share of the looks within STEADY_M, with at least so much confidence: the others outvote them.
+UNSURE_MOST, DOUBTFUL = 0.25, 0.5
 STEADY_M = 4.0  # of way: cones come into sight one by one, and the speed follows the shortest sight among them
 LOOK_S = 0.1  # a look is so old when the next one comes
 UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look must not brake hard

@@ -126,19 +126,25 @@ class ConeMemory:
             if len(cones):
                 xy = cones["xy"]
                 nearest, gap, mutual = matched(at, xy)
-                moved = motion.distance_m - cones["seen_at_m"] > LATELY_M
-                same = mutual & (gap <= np.where(moved.take(nearest), DRIFTED_M, settings.same_cone_m))
+                unseen = motion.distance_m - cones["seen_at_m"] > LATELY_M
+                same = mutual & (gap <= np.where(unseen.take(nearest), DRIFTED_M, settings.same_cone_m))
+                # So far off a cone of the other colour is another cone.
+                hue = np.sign(cones["votes"].dot(SIDES))
+                same &= (gap <= settings.same_cone_m) | (SIDES.take(color) * hue.take(nearest) >= 0.0)
                 new = ~same & (gap > DUPLICATE_M)
                 known = nearest[same]
                 seen[known] = True
                 cones["hits"][known] += 1
-                off, fresh = at[same] - xy[known], ~moved[known]
+                off, fresh = at[same] - xy[known], ~unseen[known]
                 self._displaced_m = math.hypot(*off[fresh].sum(axis=0)) / max(1, int(np.count_nonzero(fresh)))
                 share = np.where(fresh, 1.0 / np.minimum(cones["hits"][known], settings.average_over), 1.0)
                 xy[known] += share[:, None] * off
                 cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
                 cones["votes"][known, color[same]] += 1.0
                 cones["seen_at_m"][known] = motion.distance_m
+                again = known[~fresh]  # one look alone does not make sure that it stands there now
+                cones["hits"][again] = np.minimum(cones["hits"][again], settings.hits_to_believe)
+                cones["misses"][again] = 0.0
             if count := np.count_nonzero(new):
                 added = np.zeros(count, _CONE)
                 added["xy"], added["hits"], added["seen_at_m"] = at[new], 1.0, motion.distance_m
@@ -153,14 +159,14 @@ class ConeMemory:
             angle = aside(here)
             perhaps = (reach < self.view_m) & (angle < self._view_rad)
             missed = np.where(in_view(reach, angle, settings), 1.0, MISSED_AT_THE_EDGE * perhaps)
-            stale = motion.distance_m - cones["seen_at_m"] > LATELY_M
+            unseen = motion.distance_m - cones["seen_at_m"] > LATELY_M
             if len(xy_m):
-                missed *= np.where(stale, np.maximum(1.0, STALE_MISSED * hits), 1.0)
+                missed *= np.where(unseen, np.maximum(1.0, STALE_MISSED * hits), 1.0)
             misses += ~seen * missed
             self.total += int(np.count_nonzero((hits >= settings.hits_to_believe) & ~before))
             # Seen once or twice and then missed as often: not a cone.
             none = (hits < settings.hit_ratio_min * (hits + misses)) | ((hits <= 2.0) & (misses > hits))
-            self._none_per_look += NEWEST * (np.count_nonzero(none & ~stale) - self._none_per_look)
+            self._none_per_look += NEWEST * (np.count_nonzero(none & ~unseen) - self._none_per_look)
             keep = (
                 (here[:, 0] > -settings.behind_m)
                 & (reach < 3.0 * settings.range_max_m)

@@ -34,7 +34,8 @@ COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cone
 BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
-COST_CROSSED = 0.5  # of a cone on the other side of a chain than others of its row: no reward, and this
+# Of a cone on the other side of a chain than others of its row; and no reward, if nothing else says it stands there.
+COST_CROSSED = 0.5
 ROWS_MOST = 5000  # pairs; cones that stand so close to each other make no rows
 ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's borders, not two cones across it
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
@@ -48,7 +49,7 @@ BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
 ONE_BORDER = 0.6  # confidence where only one border is seen
 # Where it is less sure (0…1) that another way is worse, the way is borne out only as far as both are the same.
 SURE_MIN = 0.5
-PARTING_M = 2.0  # ways that part so far beyond the way to stop are no doubt yet
+PARTING_M = 2.0  # of way: ways that part so much further off than a car needs to know are no doubt yet
 ELSEWHERE_M, SAME_M = 1.5, 0.7  # ways so far apart after a few arcs are different ones
 ARCS_AHEAD, ARCS_LEAST = 4, 2  # of the car, those believed from the last look included
 
@@ -80,7 +81,7 @@ class Known(Value, frozen=True):
     curvature_1pm: with which the car drives; half_width_m: of the lane; view_m: how far cones are seen, where they
     stand; middle_m: (M, 2) vehicle frame, the lane's middle as the last look found it, if that was sure: what the cones
     still agree with is not searched again; driven_m: (K, 2) vehicle frame, where the car has just been; margin: of
-    cost, by which a way must be better than another; need_m: of way, to stop.
+    cost, by which a way must be better than another; need_m: ways that part nearer than that are a doubt.
     """
 
     curvature_1pm: float
@@ -406,7 +407,8 @@ class _Rows(Value, frozen=True):
     before: Ints  # the cone in line before the pair; N where the third is the one behind
     first: Ints
     towards: Floats  # (T, 2) unit vectors to the second
-    into: Floats  # (N, T) makes of a number for each pair their sum for each cone that is the second of some
+    seconds: Ints  # (S,) the cones that are the second of some pair …
+    begins: Ints  # (S,) … and the first of its pairs, which stand one after the other
 
 
 def _rows(xy: Floats) -> _Rows:
@@ -416,12 +418,11 @@ def _rows(xy: Floats) -> _Rows:
     one, other = rows.whom[middle, one], rows.whom[middle, other]
     before = np.concatenate((one, np.full(len(one), none)))
     first, second = np.concatenate((middle, one)), np.concatenate((other, middle))
-    if len(first) > ROWS_MOST:
-        before, first, second = before[:0], first[:0], second[:0]
-    into = np.zeros((len(xy), len(first)))
-    into[second, np.arange(len(first))] = 1.0
+    order = second.argsort(kind="stable") if len(second) <= ROWS_MOST else second[:0]
+    before, first, second = before[order], first[order], second[order]
+    seconds, begins = np.unique(second, return_index=True)
     towards = xy.take(second, axis=0) - xy.take(first, axis=0)
-    return _Rows(before, first, towards / np.hypot(*towards.T)[:, None], into)
+    return _Rows(before, first, towards / np.hypot(*towards.T)[:, None], seconds, begins)
 
 
 def _carried(newly: Floats, stands: Floats, starts: Floats, rows: _Rows) -> Floats:
@@ -433,7 +434,10 @@ def _carried(newly: Floats, stands: Floats, starts: Floats, rows: _Rows) -> Floa
     first = newly.take(rows.first, axis=0)
     before = np.concatenate((stands, np.zeros((1, stands.shape[1])))).take(rows.before, axis=0)
     along = rows.towards.dot(starts[:, COS : SIN + 1].T) > ROW_COS
-    return np.asarray(np.sign(rows.into.dot(first * (along | (first * before > 0.0)))))
+    carried = np.zeros_like(stands)
+    if len(rows.begins):
+        carried[rows.seconds] = np.sign(np.add.reduceat(first * (along | (first * before > 0.0)), rows.begins, axis=0))
+    return carried
 
 
 def _charge(beside: _Beside, worth: _Worth, chains: _Chains) -> tuple[Floats, Floats]:

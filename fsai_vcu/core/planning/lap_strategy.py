@@ -14,7 +14,7 @@ from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, ga
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import BIG, EXPECTED, ConeMemory, Cones
 from fsai_vcu.core.planning.course import CONES_MIN, DOUBTFUL, KEPT_POINTS, Course, braking_m
-from fsai_vcu.core.planning.lane import PARTING_M, Known, find_lane
+from fsai_vcu.core.planning.lane import Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -36,7 +36,7 @@ BORDER_APART_M = 5.0  # … at most so far apart
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 MARGIN = (0.7, 1.8)  # as in `Known`, with true colours and cones alone; without, or with false cones in each look
-UNTRUSTED_M = 10.0  # of way, that a car needs more to stop before a fork, without colours or among false cones
+MARGIN_M = 2.0, 12.0  # beyond the way to stop, within which a fork is a doubt; likewise
 NEW_LOOK_M = 0.02  # of way between two looks that mark cones: from one place each look says the same
 AGREED_M, AGREED_MORE_M = 0.4, 1.0  # paths of two looks so near to each other agree; so much more by each look
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
@@ -142,7 +142,7 @@ class LapStrategy:
         driven_xy_m = to_vehicle(motion, np.array(driven)) if driven else None
         untrusted = max(1.0 - _share_with_colours(cones), min(1.0, (1.0 - self._known) / KNOWN_SPAN))
         margin = MARGIN[0] + untrusted * (MARGIN[1] - MARGIN[0])
-        need_m = braking_m(motion.speed_mps, LAP_BRAKING_MPS2) + PARTING_M + UNTRUSTED_M * untrusted
+        need_m = braking_m(motion.speed_mps, LAP_BRAKING_MPS2) + MARGIN_M[0] + untrusted * (MARGIN_M[1] - MARGIN_M[0])
         known = Known(curvature, self._half_width_m, memory.view_m, middle, driven_xy_m, margin, need_m)
         lane = find_lane(cones, known, self._nose_m, self._settings)
         path = lane.path_m
@@ -161,12 +161,13 @@ class LapStrategy:
 
     def _keep(self, path: Floats, supported_m: float, confidence: float, motion: Motion) -> None:
         """Keep a path for looks without cones; as far as the looks before agree, for this one may be the last."""
-        if len(self._kept) and self._kept_confidence > 0.0:
+        if len(self._kept):
             before = to_vehicle(motion, to_odometry(self._kept_at, self._kept))
             apart = np.append(gaps(path, before).min(axis=1), math.inf) > AGREED_M
             driven_m = motion.distance_m - self._kept_at.distance_m
             agreed_m = max(0.0, self._settings.path_step_m * (int(apart.argmax()) - 1))
-            supported_m = min(supported_m, agreed_m, self._kept_supported_m - driven_m + AGREED_MORE_M)
+            before_m = max(0.0, self._kept_supported_m - driven_m) + max(AGREED_MORE_M, driven_m)
+            supported_m = min(supported_m, agreed_m, before_m)
         self._kept, self._kept_at, self._kept_confidence = path, motion, confidence
         self._kept_supported_m = supported_m
 
