@@ -17,7 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Bools, Floats, Ints
-from fsai_vcu.core.planning.cone_memory import SURE_SIDE, Cones, rows_of
+from fsai_vcu.core.planning.cone_memory import SIDES, SURE_SIDE, Cones, rows_of
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled, within
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.interface.values import Value
@@ -36,7 +36,11 @@ COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
 # Of a cone on the other side of a chain than others of its row; and no reward, if nothing else says it stands there.
 COST_CROSSED = 0.5
-ROWS_MOST = 5000  # pairs; cones that stand so close to each other make no rows
+# A row is straight, and its lane's other border goes on beside it: at a sharp corner the outer border stands straight on
+# from the inner one's end. Cosine of the angle by which a row turns at most; how far its cones are from the other
+# border's, across and along.
+STRAIGHT_COS, ACROSS_M, ALONG_M = 0.985, (2.4, 4.5), 1.8
+ROWS_MOST = 3000  # pairs; cones that stand so close to each other make no rows
 ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's borders, not two cones across it
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
@@ -108,7 +112,7 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
         begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count))
-    line, margin, agreed_m = _search(cones.xy_m[ahead], cones.side[ahead], begin, begin.stands[ahead], known, settings)
+    line, margin, agreed_m = _search(cones.only(ahead), begin, begin.stands[ahead], known, settings)
     line = resampled(np.concatenate((begun, line)), settings.path_step_m)
     for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
@@ -291,7 +295,7 @@ def _fan(settings: PlannerSettings) -> _Fan:
 
 
 def _search(
-    xy: Floats, side: Floats, begin: _Begin, stands: Floats, known: Known, settings: PlannerSettings
+    cones: Cones, begin: _Begin, stands: Floats, known: Known, settings: PlannerSettings
 ) -> tuple[Floats, float, float]:
     """Return the best chain of arcs from `begin` on, and how the best chain that leads elsewhere compares with it.
 
@@ -301,11 +305,11 @@ def _search(
     counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
     only for the one pair of arc and cone in fifteen that stand beside each other.
     """
-    fan, step = _fan(settings), settings.step_m
+    fan, step, xy = _fan(settings), settings.step_m, cones.xy_m
     reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     known = replace(known, view_m=max(reach_m, known.view_m))
-    worth, rows = _worth(side), _rows(xy)
+    worth, rows = _worth(cones), _rows(xy)
 
     def longer(chains: _Chains, beam: int, avoided: Floats | None = None) -> _Chains:
         """The best chains that are longer by an arc. avoided: (2,) place from which they end elsewhere."""
@@ -363,17 +367,19 @@ class _Worth(Value, frozen=True):
     wrong: Floats  # cost there of its colour, or of what lanes found earlier say
     # Distance to a pose at which the cone may be a border's; inf where it is certainly the other border's.
     nearest_m: Floats
-    unsure: Bools  # whether it is not known to stand there
+    unsure: Bools  # whether neither its colour nor anything else says that it stands there
 
 
-def _worth(side: Floats) -> _Worth:
+def _worth(cones: Cones) -> _Worth:
     """Return the worth of cones that are known to stand on these sides of the lane."""
+    side, hue = cones.side, SIDES.take(cones.color)
     agrees = np.array((side, -side))
     may_stand = agrees > -SURE_SIDE
     reward = np.where(may_stand, np.where(side == 0.0, REWARD_UNKNOWN, REWARD_KNOWN), REWARD_CONTRARY)
     wrong = COST_WRONG_SIDE * np.maximum(0.0, -agrees)
     nearest_m = np.where(may_stand, NEAREST_M, np.inf)
-    return _Worth(reward.ravel(), wrong.ravel(), nearest_m.ravel(), (agrees <= SURE_SIDE).ravel())
+    unsure = (agrees <= SURE_SIDE) & (np.array((hue, -hue)) <= 0.0)
+    return _Worth(reward.ravel(), wrong.ravel(), nearest_m.ravel(), unsure.ravel())
 
 
 class _Beside(Value, frozen=True):
@@ -407,22 +413,34 @@ class _Rows(Value, frozen=True):
     before: Ints  # the cone in line before the pair; N where the third is the one behind
     first: Ints
     towards: Floats  # (T, 2) unit vectors to the second
+    left: Bools  # (T, 1) whether a cone stands across from the second, as a lane's other border does …
+    right: Bools  # … to the left of the row, to the right
     seconds: Ints  # (S,) the cones that are the second of some pair …
     begins: Ints  # (S,) … and the first of its pairs, which stand one after the other
 
 
 def _rows(xy: Floats) -> _Rows:
-    """Return the rows in cones (N, 2)."""
+    """Return the straight rows in cones (N, 2)."""
     rows, none = rows_of(xy), len(xy)
     middle, one, other = rows.between.nonzero()
     one, other = rows.whom[middle, one], rows.whom[middle, other]
+    come, go = xy.take(middle, axis=0) - xy.take(one, axis=0), xy.take(other, axis=0) - xy.take(middle, axis=0)
+    straight = (come * go).sum(axis=1) > STRAIGHT_COS * np.hypot(*come.T) * np.hypot(*go.T)
+    middle, one, other = middle[straight], one[straight], other[straight]
     before = np.concatenate((one, np.full(len(one), none)))
     first, second = np.concatenate((middle, one)), np.concatenate((other, middle))
     order = second.argsort(kind="stable") if len(second) <= ROWS_MOST else second[:0]
     before, first, second = before[order], first[order], second[order]
     seconds, begins = np.unique(second, return_index=True)
     towards = xy.take(second, axis=0) - xy.take(first, axis=0)
-    return _Rows(before, first, towards / np.hypot(*towards.T)[:, None], seconds, begins)
+    towards /= np.hypot(*towards.T)[:, None]
+    (x, y), (dx, dy) = towards.T[:, :, None], xy.T[:, None] - xy.take(second, axis=0).T[:, :, None]
+    across, beside = x * dy - y * dx, np.abs(x * dx + y * dy) < ALONG_M
+    left, right = (
+        (beside & (side * across > ACROSS_M[0]) & (side * across < ACROSS_M[1])).any(axis=1, keepdims=True)
+        for side in (1.0, -1.0)
+    )
+    return _Rows(before, first, towards, left, right, seconds, begins)
 
 
 def _carried(newly: Floats, stands: Floats, starts: Floats, rows: _Rows) -> Floats:
@@ -434,9 +452,12 @@ def _carried(newly: Floats, stands: Floats, starts: Floats, rows: _Rows) -> Floa
     first = newly.take(rows.first, axis=0)
     before = np.concatenate((stands, np.zeros((1, stands.shape[1])))).take(rows.before, axis=0)
     along = rows.towards.dot(starts[:, COS : SIN + 1].T) > ROW_COS
+    opposite = np.where(first > 0.0, rows.right, rows.left)
     carried = np.zeros_like(stands)
     if len(rows.begins):
-        carried[rows.seconds] = np.sign(np.add.reduceat(first * (along | (first * before > 0.0)), rows.begins, axis=0))
+        carried[rows.seconds] = np.sign(
+            np.add.reduceat(first * (opposite & (along | (first * before > 0.0))), rows.begins, axis=0)
+        )
     return carried
 
 
@@ -453,9 +474,8 @@ def _charge(beside: _Beside, worth: _Worth, chains: _Chains) -> tuple[Floats, Fl
     open_ = chains.stands[beside.cone, beside.pose] == 0.0
     expected = chains.expected[beside.cone, beside.pose]
     side = 1.0 - 2.0 * is_right
-    against = open_ & (expected * side < 0.0)
-    crossed = against & worth.unsure.take(on_side)
-    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * against) * of_lane
+    crossed = open_ & (expected * side < 0.0) & worth.unsure.take(on_side)
+    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * crossed) * of_lane
     reward = worth.reward.take(on_side) * as_border * (open_ & ~crossed)
     return charge - reward, as_border * np.where(crossed, expected, side)
 
