@@ -36,8 +36,8 @@ COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
 # Of a cone on the other side of a chain than others of its row; and no reward, if nothing else says it stands there.
 COST_CROSSED = 0.5
-# A row is straight, and its lane's other border goes on beside it: at a sharp corner the outer border stands straight on
-# from the inner one's end. Cosine of the angle by which a row turns at most; how far its cones are from the other
+# A row is straight, and its lane's other border goes on beside it: at a sharp corner the outer border stands straight
+# on from the inner one's end. Cosine of the angle by which a row turns at most; how far its cones are from the other
 # border's, across and along.
 STRAIGHT_COS, ACROSS_M, ALONG_M = 0.985, (2.4, 4.5), 1.8
 ROWS_MOST = 3000  # pairs; cones that stand so close to each other make no rows
