@@ -34,7 +34,7 @@ COST_EMPTY = 0.4  # of an arc in view without a border: the gap between two cone
 BORDER_MIN = 0.3  # of a cone's reward: as much of a border is one
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
-# Of a cone on the other side of a chain than others of its row; and no reward, if nothing else says it stands there.
+# Of a cone on the other side of a chain than others of its row; and no reward, where nothing else says it stands there.
 COST_CROSSED = 0.5
 # A row is straight, and its lane's other border goes on beside it: at a sharp corner the outer border stands straight
 # on from the inner one's end. Cosine of the angle by which a row turns at most; how far its cones are from the other
@@ -474,8 +474,9 @@ def _charge(beside: _Beside, worth: _Worth, chains: _Chains) -> tuple[Floats, Fl
     open_ = chains.stands[beside.cone, beside.pose] == 0.0
     expected = chains.expected[beside.cone, beside.pose]
     side = 1.0 - 2.0 * is_right
-    crossed = open_ & (expected * side < 0.0) & worth.unsure.take(on_side)
-    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * crossed) * of_lane
+    against = open_ & (expected * side < 0.0)
+    crossed = against & worth.unsure.take(on_side)
+    charge = COST_IN_THE_WAY * (1.0 - clear) + (worth.wrong.take(on_side) + COST_CROSSED * against) * of_lane
     reward = worth.reward.take(on_side) * as_border * (open_ & ~crossed)
     return charge - reward, as_border * np.where(crossed, expected, side)
 
