@@ -93,6 +93,15 @@ def test_a_cone_outside_the_lane_does_not_bend_the_path(false: tuple[float, floa
     assert off_middle(lane.path_m, math.inf) < 0.3
 
 
+@pytest.mark.parametrize("out_m", [0.8, 1.1])
+def test_a_cone_just_outside_the_first_cones_bends_no_path(out_m: float) -> None:
+    """A staged car has no cones behind it that would hold the border where it is."""
+    xy = [(x, y) for x in (3.0, 7.0, 11.0, 15.0) for y in (HALF, -HALF)]
+    false = (2.7, HALF + out_m)
+    lane = find_lane(cones_of([*xy, false], [1.0, -1.0] * 4 + [1.0]), Known(0.0, HALF), 0.0, SETTINGS)
+    assert off_middle(lane.path_m, math.inf) < 0.2
+
+
 def test_a_colour_on_the_wrong_side_keeps_the_path_out() -> None:
     """Two lanes side by side: straight on is another lane's border, of the wrong colour."""
     lane = lane_cones(9.0, colored=True)

@@ -45,6 +45,9 @@ ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's border
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
+# A cone that stands further out than another one of its side nearby is not the border: by how much at the same place,
+# by how much more with each metre along the way, and how near that is.
+FURTHER_M, FURTHER_BY_M, BESIDE_M = 0.6, 0.2, 3.0
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
 
 VOTE_NONE = 0.5  # with no more confidence cones without a colour are not marked
@@ -641,12 +644,13 @@ def _centred(
     stands = np.where(usable, sides, 0.0)
     sides = np.where(cones.side * sides > -0.5, stands, 0.0)
     # Where cones of one side stand beside each other, only the nearer one is the border.
-    close = np.abs(along[:, None] - along) < 3.0
+    apart_m = np.abs(along[:, None] - along)
+    further_m = np.where(apart_m < BESIDE_M, FURTHER_M + FURTHER_BY_M * apart_m, np.inf)
     if not np.count_nonzero(sides != stands):
         sides = stands
     for chosen in (stands,) if sides is stands else (stands, sides):
-        nearest_size = np.minimum.reduce(np.where(close & (chosen[:, None] == chosen), size[:, None], np.inf), axis=0)
-        chosen[size > nearest_size + 1.2] = 0.0
+        beside = np.where(chosen[:, None] == chosen, size[:, None] + further_m, np.inf)
+        chosen[size > np.minimum.reduce(beside, axis=0)] = 0.0
 
     left, left_known = _border(stations, along, lateral, sides > 0, settings)
     right, right_known = _border(stations, along, lateral, sides < 0, settings)
