@@ -155,22 +155,22 @@ class Bridge:
         if kind is VcuStatus:
             self._on_status(cast(VcuStatus, image))
         elif kind is WheelSpeeds:
-            if not self._on_speeds(cast(WheelSpeeds, image)):
+            if not self._believed(cast(WheelSpeeds, image)):
                 return
         elif kind is WheelCounts:
             self._on_counts(cast(WheelCounts, image))
+        take = supervisor.TAKES.get(kind)
+        if take is not None:
+            self._supervise(take(self._config, self._state.supervisor, image))
         self._vehicle_news[VEHICLE_FIELD_OF[kind]] = image
 
-    def _on_speeds(self, speeds: WheelSpeeds) -> bool:
-        """Take in a frame of 0x525 and return whether it counts: one not believed is treated as if it never came."""
+    def _believed(self, speeds: WheelSpeeds) -> bool:
+        """Judge a frame of 0x525 and return whether it counts: one not believed is treated as if it never came."""
         state = self._state
         belief, doubt = wheel_speeds.on_speeds(self._config, state.belief, speeds)
-        supervising = state.supervisor
         if doubt:
             self.tally.problem(f"VCU2AI_Speeds is not believed: {doubt}")
-        else:
-            supervising = supervisor.on_speeds(self._config, supervising, speeds)
-        self._state = replace(state, supervisor=supervising, belief=belief, speeds_doubt=doubt)
+        self._state = replace(state, belief=belief, speeds_doubt=doubt)
         return not doubt
 
     def _on_counts(self, counts: WheelCounts) -> None:

@@ -30,6 +30,7 @@ from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.supervisor import Asked
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.messages import WheelSpeeds
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
 SHORT = ["--full", "0", "--world-seeds", "1", "--window", "1"]
@@ -119,7 +120,7 @@ SEEDED: dict[str, tuple[str, Patches]] = {
         "detector_blind:duration=1500",
         ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
     ),
-    "the bridge's process ends": ("remote_estop", ((supervisor, "on_speeds", _fails),)),
+    "the bridge's process ends": ("remote_estop", ((supervisor, "TAKES", {WheelSpeeds: _fails}),)),
 }
 
 

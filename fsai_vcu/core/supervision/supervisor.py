@@ -1,9 +1,9 @@
 """The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
 
 Pure: a `SupervisorState` goes in with what happened, a state comes out. `received` and `on_status` take frames of
-0x520, `on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent`
-learns what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens
-at one instant. Once a cycle `supervise` looks at the clock and decides, in this order:
+0x520, `TAKES` those of other messages that are believed, `on_pulses` what 0x526 says of standing still,
+`on_selected_sent` learns what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike`
+takes what happens at one instant. Once a cycle `supervise` looks at the clock and decides, in this order:
 
 1. In AS_DRIVING, `_react`: what is wrong, and for how long (`_ages`); after how long what follows (`REACTIONS`). What
    was asked for comes last: manual mode, then an emergency brake or the end of the mission by the command.
@@ -25,10 +25,10 @@ last.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum, IntEnum, auto
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import field
 from msgspec.structs import replace
@@ -407,6 +407,12 @@ def on_speeds(config: BridgeConfig, state: SupervisorState, speeds: WheelSpeeds)
     elif still_since is None or not wheels_fresh(config, state, t_ns):
         still_since = t_ns
     return replace(state, speeds_ns=t_ns, fastest_rpm=fastest, still_since_ns=still_since)
+
+
+TAKES: Mapping[type, Callable[[BridgeConfig, SupervisorState, Any], SupervisorState]] = MappingProxyType(
+    {WheelSpeeds: on_speeds}
+)
+"""Messages of the car that are taken in as they come, once they are believed; `on_status` needs more than that."""
 
 
 def on_pulses(state: SupervisorState, turning_ns: int | None) -> SupervisorState:
