@@ -81,8 +81,9 @@ campaign: setup-for-tests  ## strange frames for minutes, then 10,000 runs with 
 explanations: setup  ## logs of faults of every kind, and of other cars and AI computers; is what was wrong named?
 	$(BIN)/python -m fsai_hil.evidence.explanations -o docs/evidence/explanations.md
 
-missions: setup  ## every mission, 100 seeds, every condition of the cone sensor; goes on where it was stopped
+missions: setup  ## every mission, 100 seeds, every condition of the cone sensor (goes on where it was stopped); laps beside their bounds
 	$(BIN)/python -m fsai_hil.evidence.missions -o docs/evidence/missions.md
+	$(BIN)/python -m fsai_hil.bench laps --laps 10 -o docs/evidence/laps.md
 
 SOAK_MINUTES ?= 30
 soak: setup-for-tests  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?

@@ -95,7 +95,8 @@ def test_from_an_unclear_look_on_the_allowed_speed_falls(why: str) -> None:
     assert allowed_mps(seen + unclear, 30.0) == 0.0
 
 
-def test_the_lap_that_a_map_is_made_of_is_driven_with_care() -> None:
+@pytest.mark.parametrize("mission", [Ami.AUTOCROSS, Ami.TRACKDRIVE])
+def test_a_lap_without_a_map_may_be_driven_by_sight(mission: Ami) -> None:
     controller, settings = Controller(CARS["2026"]), ControllerSettings()
-    assert controller.max_speed_mps(Ami.TRACKDRIVE) == settings.careful_mps < controller.max_speed_mps(Ami.AUTOCROSS)
-    assert controller.max_speed_mps(Ami.TRACKDRIVE, mapped=True) == settings.race_max_speed_mps
+    assert controller.max_speed_mps(mission) == settings.lap_max_speed_mps > settings.careful_mps
+    assert controller.max_speed_mps(mission, mapped=True) == settings.race_max_speed_mps

@@ -114,11 +114,9 @@ class Controller:
         """The most that is driven in a mission, on a path that follows a map or not."""
         settings = self._settings
         lap = settings.race_max_speed_mps if mapped else settings.lap_max_speed_mps
-        # The lap that a map is made of is driven with care: cones seen while the tyres slip are placed less well.
-        first = lap if mapped else min(lap, settings.careful_mps)
         own = {
             Ami.AUTOCROSS: lap,
-            Ami.TRACKDRIVE: first,
+            Ami.TRACKDRIVE: lap,
             Ami.SKIDPAD: settings.skidpad_max_speed_mps,
             Ami.ACCELERATION: settings.acceleration_max_speed_mps,
         }

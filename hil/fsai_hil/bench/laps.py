@@ -149,11 +149,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mission", choices=("autocross", "trackdrive"), default="trackdrive")
     parser.add_argument("--laps", type=int, default=4, metavar="N", help="of trackdrive (default: 4)")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="drives of each track (default: 1)")
-    parser.set_defaults(run=run, out=Path())
+    parser.add_argument("-o", dest="out", type=Path, metavar="FILE.md", help="write the table as a page, too")
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> str:
-    """Drive, and print laps beside their bounds; say which drives did not pass."""
+    """Drive, print laps beside their bounds, and write them as a page if asked; say which drives did not pass."""
     mission, lines, failed = mission_named(args.mission), [], []
     for name in args.tracks:
         track = load_track(name)
@@ -170,5 +171,12 @@ def run(args: argparse.Namespace) -> str:
             lines.append((drive, *(f"{each:.3f}" for each in figures), f"{verdict.cones_hit}", f"{verdict.off_course}"))
             failed += [drive] * (not result.passed)
             print(f"{drive}: {', '.join(f'{lap_s:.2f}' for lap_s in verdict.lap_times_s)} s", flush=True)
-    print(table(HEADS, lines))
-    return f"not passed: {', '.join(failed)}" if failed else ""
+    figures = table(HEADS, lines)
+    print(figures)
+    problem = f"not passed: {', '.join(failed)}" if failed else ""
+    if args.out:
+        how = (__doc__ or "").split("\n\n")[1].replace("\n", " ")
+        laps = f", {args.laps} laps" * (mission is Ami.TRACKDRIVE)
+        parts = ("# Laps", "Made by `make missions`; do not edit.", how, f"The drives: {args.mission}{laps}.", figures)
+        args.out.write_text("\n\n".join((*parts, *[f"**{problem}**"] * bool(problem))) + "\n", encoding="utf-8")
+    return problem
