@@ -175,7 +175,7 @@ def run(args: argparse.Namespace) -> str:
     print(figures)
     problem = f"not passed: {', '.join(failed)}" if failed else ""
     if args.out:
-        how = (__doc__ or "").split("\n\n")[1].replace("\n", " ")
+        how = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
         laps = f", {args.laps} laps" * (mission is Ami.TRACKDRIVE)
         parts = ("# Laps", "Made by `make missions`; do not edit.", how, f"The drives: {args.mission}{laps}.", figures)
         args.out.write_text("\n\n".join((*parts, *[f"**{problem}**"] * bool(problem))) + "\n", encoding="utf-8")
