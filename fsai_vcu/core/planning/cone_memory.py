@@ -197,8 +197,8 @@ class ConeMemory:
         colored, rows = SIDES.take(color), rows_of(here)
         by_color = by_chain(colored, rows)
         lane = known["side"][index]
-        # A cone's side of the lane, look after look, outvotes a colour that contradicts it.
-        contrary = within(by_color + lane / OUTVOTES, 1.0)
+        # A cone's side of the lane, look after look, outvotes a colour that contradicts it and its neighbours' colour.
+        contrary = np.where(_between_own(by_color, rows), by_color, within(by_color + lane / OUTVOTES, 1.0))
         if np.count_nonzero(by_color * contrary < 0.0) > OUTVOTED_MOST:
             contrary = by_color  # so many wrong colours are rarer than a wrong lane
         by_lane = within(lane / 4.0, 0.6)
@@ -311,9 +311,19 @@ def _in_other_border(known: Floats, rows: Rows) -> Bools:
     in_line = ((of_neighbour[:, :, None] * of_next > 0.0) & rows.beyond).any(axis=2)  # two of one colour, one behind …
     contrary = np.asarray((other & in_line).any(axis=1))  # … the other
     if np.count_nonzero(contrary):
-        between = own[:, :, None] & own[:, None] & rows.between
-        contrary &= ~((own & in_line).any(axis=1) | between.any(axis=(1, 2)))
+        contrary &= ~((own & in_line).any(axis=1) | _between(own, rows))
     return contrary
+
+
+def _between_own(side: Floats, rows: Rows) -> Bools:
+    """Select the cones (N,) that stand in line between two of their own side."""
+    known = np.append(side, 0.0)
+    return _between(known.take(rows.whom) * known[:, None] > 0.0, rows)[:-1]
+
+
+def _between(chosen: Bools, rows: Rows) -> Bools:
+    """Select the cones (N + 1,) in line between two chosen neighbours. chosen: (N + 1, K), as in `Rows.whom`."""
+    return np.asarray((chosen[:, :, None] & chosen[:, None] & rows.between).any(axis=(1, 2)))
 
 
 def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:

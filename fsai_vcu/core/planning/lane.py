@@ -45,6 +45,7 @@ ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's border
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
+SHARPER = 0.2  # of the costs of bending and curvature, where a lane as lanes mostly are has a cone of the wrong colour
 # A cone that stands further out than another one of its side nearby is not the border: by how much at the same place,
 # by how much more with each metre along the way, and how near that is.
 FURTHER_M, FURTHER_BY_M, BESIDE_M = 0.6, 0.2, 3.0
@@ -115,22 +116,26 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     begun, begin = _believed(known.middle_m, cones, settings)
     if begin is None:
         begun, begin = _behind(known.curvature_1pm, settings), _Begin(np.zeros(count))
-    line, margin, agreed_m = _search(cones.only(ahead), begin, begin.stands[ahead], known, settings)
-    line = resampled(np.concatenate((begun, line)), settings.path_step_m)
+    way = _search(cones.only(ahead), begin, begin.stands[ahead], known, settings)
+    if way.contrary:
+        sharper = _search(cones.only(ahead), begin, begin.stands[ahead], known, settings, SHARPER)
+        way = min(way, sharper, key=lambda way: way.contrary)
+    agreed_m = way.agreed_m
+    line = resampled(np.concatenate((begun, way.line_m)), settings.path_step_m)
     for _ in range(1 if begin.along_m else 2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
         if end_m <= 0.0:
             return none
-    sure = 1.0 - math.exp(-margin / known.margin)
+    sure = 1.0 - math.exp(-way.margin / known.margin)
     one_way_m = math.inf if sure >= SURE_MIN else agreed_m
     middle = line[: int(min(len(line), _beside_car(line) + one_way_m / settings.path_step_m))]
     line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
     start = _beside_car(line)
-    way = line[start : int(stations.searchsorted(end_m + stations[start], side="right"))]
-    if len(way) < 3:
+    borne_out = line[start : int(stations.searchsorted(end_m + stations[start], side="right"))]
+    if len(borne_out) < 3:
         return none
-    path = resampled(way, settings.path_step_m)
+    path = resampled(borne_out, settings.path_step_m)
     sureness = np.minimum(np.maximum(1.2 - along / VOTE_M, 0.2), 1.0)
     vote = np.where((along > -2.0) & (along < VOTE_M), sides * sureness, 0.0)
     supported_m = min(end_m, settings.path_step_m * (len(path) - 1), one_way_m)
@@ -254,7 +259,7 @@ class _Fan(Value, frozen=True):
     """The arcs that may follow each pose, and what does not depend on the pose."""
 
     bends: Floats  # (B,) 1/m
-    bending_cost: Floats  # (B, B) of an arc by its bend (columns) after an arc of another (rows)
+    bending_cost: Floats  # (B, B) of an arc by its bend (columns), and after an arc of another (rows)
     ends: Floats  # (7, 7 B) makes of a pose those at its arcs' ends, one after the other
     into_ends: Floats  # (2 B, 3) makes of x, y, 1 in a pose's frame the x's, then the y's as seen from its arcs' ends
     sag: Floats  # (B,) how far the arc bulges beyond its chord, times four
@@ -286,10 +291,10 @@ def _fan(settings: PlannerSettings) -> _Fan:
         ends[same, :, same] = 1.0
     ends[COS, :, X], ends[SIN, :, X], ends[COS, :, Y], ends[SIN, :, Y] = x, -y, y, x
     ends[COS, :, COS], ends[SIN, :, COS], ends[COS, :, SIN], ends[SIN, :, SIN] = cos, -sin, sin, cos
-    ends[ONE, :, HEADING], ends[ONE, :, COST] = step * bends, COST_CURVATURE * (bends / tightest) ** 2
+    ends[ONE, :, HEADING] = step * bends
     return _Fan(
         bends,
-        COST_BENDING * jerk * jerk * 0.5,
+        0.5 * COST_BENDING * jerk * jerk + COST_CURVATURE * (bends / tightest) ** 2,
         ends.reshape(POSE, -1),
         np.block([[cos, -sin], [sin, cos], [-x * cos - y * sin, x * sin - y * cos]]).T.copy(),
         0.5 * step * step * bends,
@@ -297,12 +302,19 @@ def _fan(settings: PlannerSettings) -> _Fan:
     )
 
 
-def _search(
-    cones: Cones, begin: _Begin, stands: Floats, known: Known, settings: PlannerSettings
-) -> tuple[Floats, float, float]:
-    """Return the best chain of arcs from `begin` on, and how the best chain that leads elsewhere compares with it.
+class _Way(Value, frozen=True):
+    """The best chain of arcs, and how the best chain that leads elsewhere compares with it."""
 
-    The chain is (M, 2) points every quarter of a step. The other one costs so much more, and is the same so far (m).
+    line_m: Floats  # (M, 2) points every quarter of a step
+    margin: float  # of cost, by which it is better than the other one
+    agreed_m: float  # of way from the car, as far as both are the same
+    contrary: int  # cones beside it that have the colour of the other side
+
+
+def _search(
+    cones: Cones, begin: _Begin, stands: Floats, known: Known, settings: PlannerSettings, bending: float = 1.0
+) -> _Way:
+    """Return the best way from `begin` on. bending: share of the costs of bending and curvature that counts.
 
     The arrays are small (a dozen cones, 28 poses, 11 arcs each), so the number of numpy's calls and of its inner loops
     counts, not the sum of the elements: what is linear is one product, what is constant is kept, and costs are computed
@@ -312,7 +324,7 @@ def _search(
     reach_m = float(np.maximum.reduce(np.hypot(xy[:, 0], xy[:, 1])))
     levels = max(2, math.ceil((min(settings.horizon_m, reach_m + step) - begin.along_m) / step))
     known = replace(known, view_m=max(reach_m, known.view_m))
-    worth, rows = _worth(cones), _rows(xy)
+    worth, rows, bending_cost = _worth(cones), _rows(xy), bending * fan.bending_cost
 
     def longer(chains: _Chains, beam: int, avoided: Floats | None = None) -> _Chains:
         """The best chains that are longer by an arc. avoided: (2,) place from which they end elsewhere."""
@@ -320,7 +332,7 @@ def _search(
         beside = _beside(chains.seen, fan, step)
         charge, counted = _charge(beside, worth, chains)
         ends[:, COST] += np.bincount(beside.arc, charge, len(ends))
-        ends[:, COST] += fan.bending_cost.take(chains.bend, axis=0).ravel()
+        ends[:, COST] += bending_cost.take(chains.bend, axis=0).ravel()
         empty = np.bincount(beside.arc, np.abs(counted), len(ends)) < BORDER_MIN
         ends[:, COST] = _costs(ends, empty, known)
         if avoided is not None:
@@ -360,7 +372,8 @@ def _search(
     margin = float(others[-1].poses[0, COST] - history[-1].poses[0, COST])
     apart = np.subtract(_along(history, best), _along(others, _places(others)))
     same = int(np.argmax(np.hypot(apart[:, X], apart[:, Y]) > SAME_M)) - 1
-    return _best(history, best, fan), max(0.0, margin), begin.along_m + step * same
+    contrary = int(np.count_nonzero(history[-1].stands[:, 0] * SIDES.take(cones.color) < 0.0))
+    return _Way(_best(history, best, fan), max(0.0, margin), begin.along_m + step * same, contrary)
 
 
 class _Worth(Value, frozen=True):
