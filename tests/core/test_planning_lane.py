@@ -10,9 +10,11 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning import lane as finder
 from fsai_vcu.core.planning.cone_memory import Cones
 from fsai_vcu.core.planning.lane import Known, find_lane
+from fsai_vcu.core.planning.lap_strategy import crossed
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 SETTINGS = PlannerSettings()
@@ -376,6 +378,23 @@ def test_a_row_beyond_a_sharp_bend_does_not_close_it() -> None:
     cones = cones_of(inner + outer, [1.0] * len(inner) + [-1.0] * len(outer))
     lane = find_lane(cones, Known(0.0, HALF), 0.0, SETTINGS)
     assert lane.confidence > 0.7 and lane.path_m[:, 1].max() > 5.0
+
+
+# A sharp bend to the left, and behind its right border the lane that comes back.
+BLUE = [(-2.8, 2.5), (1.6, 1.6), (4.9, 5.1), (8.9, 7.0), (11.7, -3.5), (9.3, -6.7), (6.9, -9.8)]
+YELLOW = [(-1.5, -1.6), (3.1, -1.0), (6.4, 2.3), (10.4, 3.4), (9.9, -1.0), (7.5, -4.1), (5.0, -7.2), (2.7, -10.4)]
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_a_bend_sharper_than_most_agrees_with_the_colours(mirror: float) -> None:
+    blue, yellow = (np.array(cones) * (1.0, mirror) for cones in (BLUE, YELLOW))
+    side = mirror * np.repeat((1.0, -1.0), (len(blue), len(yellow)))
+    color = np.where(side > 0.0, ConeColor.BLUE, ConeColor.YELLOW)
+    cones = replace(cones_of([*blue, *yellow], side.tolist()), color=color)
+    lane = find_lane(cones, Known(0.0, HALF, 14.0), 0.0, SETTINGS)
+    borders = np.array((blue[:3], yellow[:3]))
+    assert not any(crossed(lane.path_m, border[:-1], border[1:]).any() for border in borders)
+    assert lane.supported_m > 8.0
 
 
 @pytest.mark.parametrize(

@@ -247,6 +247,15 @@ def test_many_colours_that_contradict_a_lane_are_believed(wrong: int, outvoted: 
     assert (memory.around(HERE).side > 0.0).tolist() == wrong * [outvoted]
 
 
+@pytest.mark.parametrize(("neighbours", "side"), [(ConeColor.YELLOW, -1.0), (ConeColor.UNKNOWN, 1.0)])
+def test_between_two_cones_of_its_colour_none_is_outvoted(neighbours: ConeColor, side: float) -> None:
+    memory, places = ConeMemory(SETTINGS), np.array([[3.0, 2.0], [6.0, 1.5], [9.0, 2.0]])
+    for _ in range(12):
+        memory.add(places, colors(neighbours, ConeColor.YELLOW, neighbours), HERE)
+        memory.vote(memory.around(HERE).index[1:2], np.array([1.0]))
+    assert memory.around(HERE).side[1] == side
+
+
 def test_what_cannot_be_a_cone_is_not_taken_in() -> None:
     observation = ConeObservation(
         0,
