@@ -45,7 +45,7 @@ ROW_COS = 0.85  # of the angle between a way and a row along it: a lane's border
 DRIVEN_M, COST_DRIVEN = 1.2, 2.5  # of an arc that ends so near to where the car has just been: no lane does
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
-SHARPER = 0.2  # of the costs of bending and curvature, where a lane as lanes mostly are has a cone of the wrong colour
+SHARPER = 0.3  # of both, where a way with bends like most lanes' has a cone of the wrong colour beside it
 # A cone that stands further out than another one of its side nearby is not the border: by how much at the same place,
 # by how much more with each metre along the way, and how near that is.
 FURTHER_M, FURTHER_BY_M, BESIDE_M = 0.6, 0.2, 3.0
@@ -119,7 +119,8 @@ def find_lane(cones: Cones, known: Known, nose_m: float, settings: PlannerSettin
     way = _search(cones.only(ahead), begin, begin.stands[ahead], known, settings)
     if way.contrary:
         sharper = _search(cones.only(ahead), begin, begin.stands[ahead], known, settings, SHARPER)
-        way = min(way, sharper, key=lambda way: way.contrary)
+        # One with such cones, too, is no reason to leave the first: the cones may have wrong colours.
+        way = way if sharper.contrary else sharper
     agreed_m = way.agreed_m
     line = resampled(np.concatenate((begun, way.line_m)), settings.path_step_m)
     for _ in range(1 if begin.along_m else 2):

@@ -250,13 +250,14 @@ def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[flo
         return 1.0, ""
     away_m = gaps(sure_xy_m, path).min(axis=1)
     nearest = away_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
-    for sign, name in ((1.0, "left"), (-1.0, "right")):
-        border = sure_xy_m[nearest][sign * side[nearest] > EXPECTED]
-        one, other = np.nonzero(np.triu(gaps(border, border) < BORDER_APART_M, 1))
-        apart = crossed(path, border[one], border[other])
-        accompanied = np.bincount(np.concatenate((one[~apart], other[~apart])), minlength=len(border)) > 0
-        if (apart & accompanied[one] & accompanied[other]).any():
-            return CROSSED_SHARE, f"the way crosses the {name} border"
+    nearest = nearest[np.abs(side[nearest]) > EXPECTED]
+    border, sign = sure_xy_m[nearest], np.sign(side[nearest])
+    one, other = np.nonzero(np.triu((gaps(border, border) < BORDER_APART_M) & (sign[:, None] == sign), 1))
+    apart = crossed(path, border[one], border[other])
+    accompanied = np.bincount(np.concatenate((one[~apart], other[~apart])), minlength=len(border)) > 0
+    between = sign[one[apart & accompanied[one] & accompanied[other]]]
+    if len(between):
+        return CROSSED_SHARE, f"the way crosses the {'left' if between.max() > 0.0 else 'right'} border"
     return 1.0, ""
 
 
