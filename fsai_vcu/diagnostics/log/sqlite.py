@@ -15,6 +15,7 @@ from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
 from fsai_vcu.diagnostics.log.rows import frame_of
 
 MAGIC: Final = b"SQLite format 3\0"
+_HEAD: Final = struct.Struct(">16xH10xI")  # bytes of a page (1: 65536), and pages
 _BATCH: Final = 10_000
 _STEPS: Final = 100_000_000  # of SQLite's machine for a batch: a query that goes round in circles is given up
 _BAG: Final = (
@@ -31,6 +32,12 @@ def read_sqlite(path: Path, told: Problems, name: str) -> Iterator[Frames]:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
             tables = {row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            told_bytes, found_bytes = _announced_bytes(path), path.stat().st_size
+            if found_bytes < told_bytes:  # SQLite takes what is missing for zeros
+                words = (
+                    f"the file ends after {found_bytes} of {told_bytes} bytes: frames are missing, others may be wrong"
+                )
+                told.add(f"{name}: {words}")
             if "messages" not in tables:
                 raise ReadingEnds("an SQLite database without the messages of python-can or of a ROS 2 bag")
             bag = "topics" in tables
@@ -51,6 +58,13 @@ def read_sqlite(path: Path, told: Problems, name: str) -> Iterator[Frames]:
                 raise ReadingEnds("a bag of ROS 2 without a topic of can_msgs/Frame: record the bus itself")
     except (sqlite3.Error, OSError) as error:
         raise ReadingEnds(" ".join(str(error).split())[:200]) from None
+
+
+def _announced_bytes(path: Path) -> int:
+    """Return the length of a database by its head (sqlite.org/fileformat.html, 1.3)."""
+    with path.open("rb") as file:
+        page_bytes, pages = _HEAD.unpack(file.read(_HEAD.size))
+    return int(65536 if page_bytes == 1 else page_bytes) * int(pages)
 
 
 def _frame(
