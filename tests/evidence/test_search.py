@@ -345,7 +345,7 @@ def test_the_first_seed_of_each_rule_is_traced(
     monkeypatch.setattr(command, "SEEDS", tuple(few))
     assert main(["--only-seeded"]) == 0
     out = capsys.readouterr().out
-    assert "sent: SELECTED FORWARD" in out
+    assert "sent: mission_status SELECTED; direction FORWARD" in out
     told = [line for line in out.splitlines() if line.startswith("Rule ")]
     assert [line.partition(":")[0] for line in told] == [
         "Rule 5, FORWARD in AS_READY",

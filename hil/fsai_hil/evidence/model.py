@@ -4,11 +4,8 @@ What runs is the real code: a `Bridge` with its supervisor and gate, and the VCU
 This module saves its state, puts it back, and says what the environment may do. What stands in for something:
 
 - the codec hands images on as they are (each command is encoded by the real one, once per different command);
-- odometry is left out: it fills a logging field;
-- the plausibility checks' verdicts are the environment's choice: a mistake inside a check (a wheel's factor in a curve,
-  for how long torque explains a wheel that spins) shows nothing here;
-- so is whether a wheel turns by the pulse counts, which are not sent: what they say of a wheel speed shows in nothing
-  but that it is not believed, and speeds that may not be believed are sent;
+- the environment chooses what the plausibility checks say, and whether a wheel turns by the pulse counts (`LEFT_OUT`
+  says what cannot be seen because of that);
 - wheels may change their speed from one cycle to the next: more than any car can do.
 
 Time. A state holds ages, not times, and an age is rounded down to the nearest point that the rules can tell apart:
@@ -23,13 +20,23 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
-from operator import attrgetter
 from typing import Any, Final, NamedTuple, cast
 
 from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import NOW, Abstraction, Clocks, edges_of
-from fsai_hil.evidence.scopes import COMMANDS, EVENTS, NO_COMMAND, RESTART, Choice, PlainCodec, Scope, Vcu, frames_of
+from fsai_hil.evidence.scopes import (
+    COMMANDS,
+    EVENTS,
+    NO_COMMAND,
+    RESTART,
+    Choice,
+    PlainCodec,
+    Scope,
+    Vcu,
+    frames_of,
+    unusual,
+)
 from fsai_hil.evidence.search import Move
 from fsai_hil.evidence.searched import SearchedBridge
 from fsai_hil.rules.numbers import CAR_PATIENCE_NS, CYCLE_NS
@@ -74,10 +81,7 @@ class Encoded(NamedTuple):
     problems: tuple[Violation, ...]
     images: tuple[tuple[int, AiImage], ...]
     shown: tuple[dict[str, Any], ...]
-    asks: tuple[Any, ...]  # the same, of all frames
 
-
-_asks_of = attrgetter("estop", "status", "direction", "front", "rear", "steer", "brake")
 
 Outcome = tuple[State, tuple[Violation, ...], AiCommand | None]
 
@@ -354,8 +358,7 @@ class Composition:
                 {"steer": asked.steer_deg != 0.0},
                 {"brake": asked.brake_requested},
             )
-            asks = tuple(value for each in shown for value in each.values())
-            made = self._encoded[asked] = Encoded(problems, tuple(images), shown, asks)
+            made = self._encoded[asked] = Encoded(problems, tuple(images), shown)
         return made
 
     def _sent(self, choice: Choice, asked: AiCommand, encoded: Encoded, now: int) -> None:
@@ -364,25 +367,15 @@ class Composition:
         checker.on_sending()
         for can_id, image in encoded.images[: choice.frames]:
             checker.on_ai(can_id, image, now)
-        v = self._vcu
-        if choice.frames == 5 and not choice.car_off and _asks_of(v) == encoded.asks:  # nothing new to look at
-            echo_ns = None if asked.handshake == v.bit else v.echo_ns
-            self._vcu = replace(v, received=True, ai_ns=now, echo_ns=echo_ns)
-            self._bridge.on_sent(True, now)
-            return
         for number, shown in enumerate(() if choice.car_off else encoded.shown[: choice.frames]):
             v = self._vcu
-            news = {name: value for name, value in shown.items() if getattr(v, name) != value}
-            times: dict[str, Any] = {}
             if number == 0:
-                times = {"received": True, "ai_ns": v.ai_ns or now, "echo_ns": v.echo_ns}
-                if asked.handshake == v.bit:
-                    times["echo_ns"] = None
+                echo_ns = None if asked.handshake == v.bit else v.echo_ns
+                self._vcu = replace(v, received=True, ai_ns=v.ai_ns or now, echo_ns=echo_ns)
             elif number == 4:
-                times = {"ai_ns": now}
-            if news or times:
-                self._vcu = replace(v, **news, **times)
-            if news:
+                self._vcu = replace(v, ai_ns=now)
+            if any(getattr(v, name) != value for name, value in shown.items()):
+                self._vcu = replace(self._vcu, **shown)
                 self._look(choice, now)
         self._bridge.on_sent(choice.frames == 5, now)
 
@@ -397,26 +390,12 @@ class Composition:
             time_ns += move.duration_ns
             state = cast(State, move.target).bridge.supervisor.as_state
             seen = "no AS state seen" if state is None else f"{state.label} seen"
-            words = (
-                f"{self.choices[move.label].words}\n"
-                f"            -> {seen}; sent: {_command_words(cast('AiCommand | None', move.seen))}"
-            )
+            asked = cast("AiCommand | None", move.seen)
+            sent = "nothing" if asked is None else unusual(replace(asked, handshake=False)) or "the safe default"
+            chosen = unusual(self.choices[move.label]) or "nothing out of the ordinary"
+            words = f"{chosen}\n            -> {seen}; sent: {sent}"
             if words == before:
                 lines.pop()
             lines.append(f"{time_ns / 1e9:8.3f} s  {words}")
             before = words
         return lines
-
-
-def _command_words(asked: AiCommand | None) -> str:
-    if asked is None:
-        return "nothing"
-    parts = (
-        asked.mission_status.label,
-        asked.direction.label,
-        asked.estop_request and "ESTOP_REQUEST",
-        asked.torque_requested and f"torque {asked.front_torque_nm:g}/{asked.rear_torque_nm:g} Nm",
-        asked.brake_requested and f"brake {asked.front_brake_pct:g} %",
-        asked.steer_deg and f"steering {asked.steer_deg:g} deg",
-    )
-    return " ".join(str(part) for part in parts if part)

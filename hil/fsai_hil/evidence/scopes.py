@@ -103,12 +103,12 @@ class Choice(Value, frozen=True):
     steer_odd: bool = False
     wheel_odd: bool = False
 
-    @property
-    def words(self) -> str:
-        """Name what is out of the ordinary in it, by the names above."""
-        given = zip(self.__struct_fields__, self.__struct_defaults__, strict=True)
-        chosen = {name: value for name, default in given if (value := getattr(self, name)) != default}
-        return "; ".join(f"{name} {_plain(value)}" for name, value in chosen.items()) or "nothing out of the ordinary"
+
+def unusual(value: Value) -> str:
+    """Name the fields that do not have their defaults, and their values; "" where all have."""
+    given = zip(value.__struct_fields__, value.__struct_defaults__, strict=True)
+    chosen = {name: one for name, default in given if (one := getattr(value, name)) != default}
+    return "; ".join(f"{name} {_plain(one)}" for name, one in chosen.items())
 
 
 def _plain(value: object) -> str:
@@ -175,10 +175,6 @@ MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 """Marks that 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
 _BITS: Final = m.Faults.__struct_fields__
-_IDS: Final[Mapping[type, int]] = {
-    kind: can_id
-    for can_id, kind in enumerate((m.VcuDriveFront, m.VcuDriveRear, m.VcuSteer, m.VcuBrake, m.WheelSpeeds), 0x521)
-}
 
 
 class CarFrame(Frame, frozen=True):
@@ -203,20 +199,20 @@ def frames_of(choice: Choice, vcu: Vcu, now: int) -> Iterator[CarFrame]:
     elif STATUS not in choice.lost:
         yield _status_frame(vcu.bit, choice.go, vcu.state, choice.ami, choice.fault, choice.marks, now)
     if AXLES not in choice.lost:
-        yield _frame(m.VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
-        yield _frame(m.VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(0x521, m.VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(0x522, m.VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
     if STEER not in choice.lost:
-        yield _frame(m.VcuSteer, now, 0.0, choice.angle_max_deg)
+        yield _frame(0x523, m.VcuSteer, now, 0.0, choice.angle_max_deg)
     if BRAKE not in choice.lost:
-        yield _frame(m.VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
+        yield _frame(0x524, m.VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
     if SPEEDS not in choice.lost:
-        yield _frame(m.WheelSpeeds, now, *choice.rpm)
+        yield _frame(0x525, m.WheelSpeeds, now, *choice.rpm)
 
 
 @cache  # the same few come again and again
-def _frame(kind: type[Any], now: int, *values: float) -> CarFrame:
+def _frame(can_id: int, kind: type[Any], now: int, *values: float) -> CarFrame:
     image: m.Image = kind(*values, t_rx_ns=now)
-    return CarFrame(_IDS[kind], b"", now, decoded=Decoded(image, (), None))
+    return CarFrame(can_id, b"", now, decoded=Decoded(image, (), None))
 
 
 @cache
@@ -312,10 +308,13 @@ MOVES: Final = Ending("a silent planner and a car that never brakes", replace(_D
 DEAF: Final = Ending("a car that is not received any more", _CUT_OFF, 500 * MS)
 # A VCU that says whatever the environment wants cannot be brought out of AS_DRIVING. There the end is that it has been
 # told to stop: ESTOP_REQUEST, or FINISHED at rest, and no torque.
-_INSISTING: Final = tuple(
-    Ending(f"{ending.words} and says AS_DRIVING for ever", replace(ending.choice, says=_DRIVING), ending.within_ns)
-    for ending in (STANDS, MOVES)
-)
+_INSISTING: Final[dict[str, Any]] = {
+    "path": (),
+    "endings": tuple(
+        Ending(f"{ending.words} and says AS_DRIVING for ever", replace(ending.choice, says=_DRIVING), ending.within_ns)
+        for ending in (STANDS, MOVES)
+    ),
+}
 
 
 class Scope(Value, frozen=True):
@@ -423,8 +422,7 @@ SCOPES: Final = (
             *_each(replace(_SAYS_DRIVING, says=_OFF), _EMERGENCY, _RESET),
             _says(_READY, **_AUTONOMOUS),
         ),
-        path=(),
-        endings=_INSISTING,
+        **_INSISTING,
         reactions=(Reason.GO_OFF, Reason.FAULT_STATUS),
     ),
     Scope(
@@ -436,8 +434,7 @@ SCOPES: Final = (
             *_each(_says(_READY), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
             *_each(_says(_DRIVING), {}, {"rpm": MOVING}),
         ),
-        path=(),
-        endings=_INSISTING,
+        **_INSISTING,
     ),
     Scope(
         "marks",
@@ -470,8 +467,7 @@ SCOPES: Final = (
             *(_says(state, event=RESTART) for state in (_OFF, _READY, _DRIVING)),
             *(_says(state, **_AUTONOMOUS) for state in (_OFF, _READY)),
         ),
-        path=(),
-        endings=_INSISTING,
+        **_INSISTING,
     ),
     Scope(
         "plausibility",
@@ -504,8 +500,7 @@ SCOPES: Final = (
         "power-up, any car",
         "the same beside a VCU that says any of its states from the start, wheels standing and turning",
         tuple(_says(state, rpm=rpm) for state, rpm in product((_OFF, _READY, _DRIVING), (STANDING, MOVING))),
-        path=(),
-        endings=_INSISTING,
+        **_INSISTING,
         setting=_AT_POWER_UP,
     ),
     replace(

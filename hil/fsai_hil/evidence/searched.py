@@ -12,10 +12,7 @@ from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.watched_bridge import WatchedBridge, process_of
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
-from fsai_vcu.core.supervision.supervisor import Decision
-from fsai_vcu.core.tally import Tally
 from fsai_vcu.core.vehicle.odometry import OdometryState
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, codec_of
@@ -58,28 +55,11 @@ class Setting(Value, frozen=True):
         )
 
 
-class NoTally(Tally):
-    """The counts of a searched bridge, which nobody reads: nothing that is sent depends on them."""
-
-    def received(self, can_id: int) -> None:
-        """Count nothing."""
-
-    def activate(self, decision: Decision, reasons: frozenset[Reason]) -> None:
-        """Count nothing."""
-
-    def answered(self, now_ns: int) -> None:
-        """Count nothing."""
-
-
 class SearchedBridge(WatchedBridge):
     """The bridge, whose plausibility checks say what the environment wants."""
 
     steer_odd = False
     wheel_odd = False
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.tally = NoTally()
 
     def on_frame(self, frame: Frame) -> None:
         """Take in a frame that has an image and no bytes; the checker is given it decoded."""
