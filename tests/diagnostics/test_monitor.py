@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import itertools
 import re
 import signal
 import threading
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from story_runs import Ended, after, branch, driving, of_ids, off, ready, twice
+from story_runs import Ended, after, branch, driving, of_ids, twice
 
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import Record
@@ -24,7 +23,7 @@ from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.monitor import sources
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, instruments, message_row, overview
-from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, Picture, plain_line
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture, plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, TREND_NS, View
@@ -33,7 +32,6 @@ from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
 
 CYCLE = 10 * MS
-SELECTED, FINISHED = "0010000000000000", "0030000000000000"
 STEER = bytes.fromhex("7B002C017B00")  # ANGLE 12.3, ANGLE_MAX 30, ANGLE_REQUEST 12.3
 
 
@@ -55,7 +53,29 @@ def every_cycle(begin_ns: int, end_ns: int, *sent: tuple[int, bytes | str]) -> F
     )
 
 
-AI = [(0x510, SELECTED), (0x511, "00000000"), (0x512, "00000000"), (0x513, "0000"), (0x514, "0000")]
+OFF = (0x520, status(AsState.AS_OFF))
+DRIVING = (0x520, status(AsState.AS_DRIVING, go=True))
+AI = [(0x510, "0010000000000000"), (0x511, "00000000"), (0x512, "00000000"), (0x513, "0000"), (0x514, "0000")]
+GOOD = every_cycle(0, S, OFF, *AI)
+TOGGLED = (0x520, status(AsState.AS_OFF, bits=1))
+ERROR = LogFrame(S, "can0", 0x004, bytes.fromhex("0010000000000000"), error=True)
+
+
+def later(*sent: tuple[int, bytes | str]) -> Frames:
+    """A second of these frames after GOOD."""
+    return every_cycle(S, 2 * S, *sent)
+
+
+def many(begin_ns: int, count: int, data: bytes) -> Frames:
+    """That many 0x520, made at once."""
+    one = frames_of([LogFrame(begin_ns, "can0", 0x520, data)])
+    return one.only(np.zeros(count, np.int64)).at(begin_ns + CYCLE * np.arange(count, dtype=np.int64))
+
+
+def in_chunks(frames: Frames, length_ns: int = 50 * MS) -> list[Frames]:
+    """As a live bus gives them, in the last of which nothing came."""
+    begins = range(int(frames.t_ns[0]), int(frames.t_ns[-1]) + 1 + length_ns, length_ns)
+    return [frames.only((frames.t_ns >= t_ns) & (frames.t_ns < t_ns + length_ns)) for t_ns in begins]
 
 
 def watching(*parts: Frames) -> View:
@@ -65,18 +85,18 @@ def watching(*parts: Frames) -> View:
     return view
 
 
-def seen(*parts: Frames, now_ns: int | None = None) -> Picture:
-    view = watching(*parts)
+def newest(view: View) -> Picture:
+    """The picture at its newest frame."""
     assert view.memory.newest_ns is not None
-    return view.picture(view.memory.newest_ns if now_ns is None else now_ns)
+    return view.picture(view.memory.newest_ns)
 
 
-def in_chunks(frames: Frames, length_ns: int = 50 * MS) -> list[Frames]:
-    """As a live bus gives them."""
-    edges = np.arange(int(frames.t_ns[0]), int(frames.t_ns[-1]) + length_ns, length_ns)
-    cuts = np.searchsorted(frames.t_ns, edges)
-    ends = [*cuts[1:].tolist(), len(frames)]
-    return [frames.only(np.arange(a, b, dtype=np.int64)) for a, b in zip(cuts.tolist(), ends, strict=True)]
+def seen(*parts: Frames) -> Picture:
+    return newest(watching(*parts))
+
+
+def message(picture: Picture, can_id: int) -> MessagePicture:
+    return next(one for one in picture.messages if one.can_id == can_id)
 
 
 def words(picture: Picture) -> list[str]:
@@ -89,11 +109,6 @@ def words(picture: Picture) -> list[str]:
 @pytest.fixture(scope="module")
 def go_off() -> Ended:
     return branch(driving(), lambda run: run.switch(go=False), 2.0)
-
-
-@pytest.fixture(scope="module")
-def asms_off() -> Ended:
-    return branch(driving(), lambda run: run.switch(asms=False), 2.0)
 
 
 def test_a_driving_car_shows_what_is_asked_and_what_is_given() -> None:
@@ -113,24 +128,18 @@ def test_a_driving_car_shows_what_is_asked_and_what_is_given() -> None:
     assert {m.freshness for m in picture.messages if m.can_id in EXPECTED} == {Freshness.FRESH}
 
 
-def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_off: Ended) -> None:
-    for ended, cause in ((go_off, "Go went off"), (asms_off, "ASMS was turned off")):
-        view = View("can0")
-        pictures = []
-        for chunk in in_chunks(ended.frames, 250 * MS):
-            view.update(chunk)
-            if len(chunk) and chunk.t_ns[-1] > ended.injected_ns:
-                pictures.append(view.picture(int(chunk.t_ns[-1])))
-        assert pictures[-1].as_state == "EMERGENCY_BRAKE"
-        assert cause in words(pictures[-1])[0]
-        assert pictures[-1].why_not_driving[0].remedy
-        # Long after the frames around it are forgotten, it is still known.
-        end_ns = int(ended.frames.t_ns[-1])
-        last = ended.frames.only(ended.frames.t_ns > end_ns - CYCLE)
-        for step in range(0, 2 * LONG_NS, 250 * MS):
-            view.update(last.at(last.t_ns + CYCLE + step))
-        assert view.memory.newest_ns is not None
-        assert cause in words(view.picture(view.memory.newest_ns))[0]
+def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended) -> None:
+    view = View("can0")
+    for chunk in in_chunks(go_off.frames, 250 * MS):
+        view.update(chunk)
+        picture = newest(view)
+    assert picture.as_state == "EMERGENCY_BRAKE"
+    assert "Go went off" in words(picture)[0] and picture.why_not_driving[0].remedy
+    # Long after the frames around it are forgotten, it is still known.
+    last = go_off.frames.only(go_off.frames.t_ns > go_off.frames.t_ns[-1] - CYCLE)
+    for step in range(0, 2 * LONG_NS, 250 * MS):
+        view.update(last.at(last.t_ns + CYCLE + step))
+    assert "Go went off" in words(newest(view))[0]
 
 
 def test_an_emergency_brake_from_before_is_reported_as_such() -> None:
@@ -138,116 +147,82 @@ def test_an_emergency_brake_from_before_is_reported_as_such() -> None:
     assert words(picture) == ["EMERGENCY_BRAKE: wait 15 s, ASMS off, then switch the car off and on"]
 
 
-def test_in_as_off_unmet_conditions_are_in_order_of_remedy() -> None:
-    picture = seen(*in_chunks(branch(off(), lambda run: None, 0.5).frames))
-    assert picture.as_state == "AS_OFF"
-    assert words(picture)[0] == "no mission is chosen on the AMI"
-    assert picture.mode == "unknown before a mission"
-    assert [one.follows for one in picture.why_not_driving] == sorted(one.follows for one in picture.why_not_driving)
-
-
-def test_in_as_ready_5_s_count_down_before_waiting_for_go() -> None:
-    early = seen(*in_chunks(branch(ready(), lambda run: None, 0.5).frames))
-    assert re.fullmatch(r"waiting in AS_READY: [34]\.\d s of 5 s left", words(early)[0])
-    assert words(early)[1] == "waiting for Go"
-    late = seen(*in_chunks(branch(ready(), lambda run: None, 6.0).frames))
-    assert words(late) == ["waiting for Go"]
-    held = seen(*in_chunks(branch(ready(), lambda run: run.switch(go=True), 1.0).frames))
-    assert words(held)[-1] == "Go was on already: only a rising edge counts"
+@pytest.mark.parametrize(
+    ("ami", "acknowledged", "mode"),
+    [
+        (Ami.NOT_SELECTED, [(0x510, "00" * 8)], "unknown before a mission"),
+        (Ami.TRACKDRIVE, [(0x510, "00" * 8)], "manual or unconfirmed"),
+        (Ami.TRACKDRIVE, AI, "autonomous"),
+        (Ami.TRACKDRIVE, [], "unknown"),
+    ],
+)
+def test_the_mode_is_known_by_what_the_ai_computer_says(
+    ami: Ami, acknowledged: list[tuple[int, str]], mode: str
+) -> None:
+    picture = seen(GOOD, later((0x520, status(AsState.AS_OFF, ami=ami)), *acknowledged))
+    assert (picture.mode, picture.mission_status is None) == (mode, not acknowledged)
 
 
 # ---------------------------------------------------------------- ages
 
 
-def test_a_value_disappears_exactly_when_its_message_is_lost() -> None:
-    frames = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), (0x523, STEER), *AI)
-    others = every_cycle(S, 2 * S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
+@pytest.mark.parametrize(
+    ("before_ns", "values", "freshness"), [(1, (12.3, 30.0), Freshness.LATE), (0, (None, None), Freshness.LOST)]
+)
+def test_a_value_disappears_exactly_when_its_message_is_lost(
+    before_ns: int, values: tuple[float | None, ...], freshness: Freshness
+) -> None:
+    frames = every_cycle(0, S, DRIVING, (0x523, STEER), *AI)
     last_ns = int(frames.t_ns[frames.can_id == 0x523][-1])
-    before = seen(frames, others, now_ns=last_ns + 100 * MS - 1)
-    after = seen(frames, others, now_ns=last_ns + 100 * MS)
-    assert (before.actuators["steering"].given, before.actuators["steering"].limit) == (12.3, 30.0)
-    assert (after.actuators["steering"].given, after.actuators["steering"].limit) == (None, None)
-    freshness = {
-        number: {m.can_id: m.freshness for m in picture.messages}[0x523]
-        for number, picture in enumerate((before, after))
-    }
-    assert freshness == {0: Freshness.LATE, 1: Freshness.LOST}
+    picture = watching(frames, later(DRIVING, *AI)).picture(last_ns + 100 * MS - before_ns)
+    assert (picture.actuators["steering"].given, picture.actuators["steering"].limit) == values
+    assert message(picture, 0x523).freshness is freshness
 
 
 def test_a_silent_car_shows_no_values_but_its_last_state() -> None:
-    frames = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
+    view = watching(frames := every_cycle(0, S, DRIVING, *AI))
     last_ns = int(frames.t_ns[frames.can_id == 0x520][-1])
-    fresh, lost = (seen(frames, now_ns=last_ns + age_ns) for age_ns in (100 * MS - 1, 100 * MS))
+    fresh, lost = (view.picture(last_ns + age_ns) for age_ns in (100 * MS - 1, 100 * MS))
     assert fresh.as_state == "AS_DRIVING" and fresh.driving
     assert (lost.as_state, lost.go, lost.mission, lost.driving) == (None, None, None, False)
     assert lost.as_state_heard == "AS_DRIVING" and lost.status_age_s == pytest.approx(0.1)
     assert words(lost) == ["0x520 is missing for 100 ms: the car is silent"]
 
 
-def test_silence_of_the_ai_computer_is_shown_as_the_vcu_sees_it() -> None:
-    both = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
-    alone = every_cycle(S, 2 * S, (0x520, status(AsState.AS_OFF)))
-    picture = seen(both, alone)
-    assert picture.link[0].startswith("the AI computer is silent for 99")
-    assert picture.link[0].endswith("to the VCU that is AI_COMMS_LOST")
-    assert picture.mode == "unknown" and picture.mission_status is None
-    partly = seen(both, every_cycle(S, 2 * S, (0x520, status(AsState.AS_OFF)), *AI[:3], AI[4]))
-    assert partly.link[0].startswith("AI2VCU_Steer (0x513) is missing for 1.0")
+AGAIN = later(OFF, *AI)
+LINK = {
+    "the AI computer is silent for 998 ms: to the VCU that is AI_COMMS_LOST": later(OFF),
+    "AI2VCU_Steer (0x513) is missing for 1.00 s: to the VCU that is AI_COMMS_LOST": later(OFF, *AI[:3], AI[4]),
+    "AI2VCU_Brake (0x514) has the wrong length: it counts as missing": later(OFF, *AI[:4], (0x514, "000000")),
+    "VCU2AI_Wheel_counts (0x526) has the wrong length: it counts as missing": later(OFF, *AI, (0x526, "00")),
+    "the handshake's echo is missing for 72 ms (100 ms are a loss)": every_cycle(S, S + 80 * MS, TOGGLED, *AI),
+    "somebody else sends on the AI computer's ids: 0x510, ": twice(AGAIN, of_ids(AGAIN, AI_IDS), 3 * MS),
+    "somebody else sends the car's messages: 0x520: 182 frames a second": twice(AGAIN, of_ids(AGAIN, [0x520])),
+    "1 error frame in 3 s, the last: controller (receive error-passive)": frames_of([ERROR]),
+}
+
+
+@pytest.mark.parametrize("sentence", LINK)
+def test_each_fault_of_the_link_has_its_sentence_alone(sentence: str) -> None:
+    (told,) = seen(GOOD, LINK[sentence]).link
+    assert told.startswith(sentence)
 
 
 def test_rates_are_recent_and_missing_messages_are_named() -> None:
-    frames = every_cycle(0, 5 * S, (0x520, status(AsState.AS_OFF)), (0x7AA, "01"))
+    frames = every_cycle(0, 5 * S, OFF, (0x7AA, "01"))
     picture = seen(*in_chunks(frames))
-    found = {message.can_id: message for message in picture.messages}
-    assert found[0x520].rate_hz == pytest.approx(100, abs=1) and found[0x520].expected_hz == 100
-    assert (found[0x7AA].name, found[0x7AA].expected_hz) == (None, None)
-    assert found[0x7AA].rate_hz == pytest.approx(100, abs=1)
-    assert {found[can_id].freshness for can_id in AI_IDS} == {Freshness.NEVER}
-    gone = seen(frames, every_cycle(5 * S, 9 * S, (0x520, status(AsState.AS_OFF))))
-    assert {m.can_id: (m.rate_hz, m.freshness) for m in gone.messages}[0x7AA] == (0.0, Freshness.LOST)
+    status_sent, foreign = message(picture, 0x520), message(picture, 0x7AA)
+    assert status_sent.rate_hz == pytest.approx(100, abs=1) and status_sent.expected_hz == 100
+    assert foreign.rate_hz == pytest.approx(100, abs=1) and (foreign.name, foreign.expected_hz) == (None, None)
+    assert {message(picture, can_id).freshness for can_id in AI_IDS} == {Freshness.NEVER}
+    gone = message(seen(frames, every_cycle(5 * S, 9 * S, OFF)), 0x7AA)
+    assert (gone.rate_hz, gone.freshness) == (0.0, Freshness.LOST)
 
 
-def test_extended_remote_error_and_wrong_length_are_distinct() -> None:
-    status_ns = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), (0x514, "000000"))
-    strange = frames_of(
-        [
-            LogFrame(S, "can0", 0x520, b"\x01", extended=True),
-            LogFrame(S + 1, "can0", 0x004, bytes((0, 0x10, 0, 0, 0, 0, 0, 0)), error=True),
-        ]
-    )
-    picture = seen(status_ns, strange)
+def test_an_extended_identifier_is_another_message() -> None:
+    picture = seen(GOOD, frames_of([LogFrame(S, "can0", 0x520, b"\x01", extended=True)]))
     assert [(m.number, m.name) for m in picture.messages if m.extended] == [("00000520", None)]
-    assert "AI2VCU_Brake (0x514) has the wrong length: it counts as missing" in picture.link
-    assert picture.link[-1] == "1 error frame in 3 s, the last: controller (receive error-passive)"
     assert picture.as_state == "AS_OFF"
-
-
-def test_a_second_sender_on_the_ai_computers_ids_is_named() -> None:
-    good = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
-    twice = [
-        LogFrame(t_ns, "can0", can_id, bytes.fromhex(data))
-        for step in range(100, 150)
-        for place, (can_id, data) in enumerate(AI)
-        for t_ns in (step * CYCLE + place * MS // 2, step * CYCLE + place * MS // 2 + 3 * MS)
-    ]
-    frames = frames_of(sorted(twice, key=lambda frame: frame.t_ns))
-    picture = seen(good, frames)
-    assert [text for text in picture.link if text.startswith("somebody else sends on the AI computer's ids: 0x510")]
-
-
-def test_a_second_car_is_named_in_one_line() -> None:
-    good = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
-    picture = seen(twice(good, of_ids(good, [0x520])))
-    (told,) = [text for text in picture.link if text.startswith("somebody else sends the car's messages: 0x520")]
-    assert "frames a second" in told
-
-
-def test_a_missing_echo_is_shown_while_it_is_awaited() -> None:
-    toggled = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
-    waiting = every_cycle(S, S + 80 * MS, (0x520, status(AsState.AS_OFF, bits=1)), *AI)
-    picture = seen(toggled, waiting)
-    assert picture.handshake_waiting_s == pytest.approx(0.072, abs=0.005)
-    assert "the handshake's echo is missing for 72 ms (100 ms are a loss)" in picture.link
 
 
 def test_faults_and_warnings_have_the_specifications_names() -> None:
@@ -263,51 +238,35 @@ def test_faults_and_warnings_have_the_specifications_names() -> None:
 # ---------------------------------------------------------------- memory
 
 
-def hours(begin_ns: int, count: int, data: bytes) -> Frames:
-    """Many 0x520, made at once."""
-    zeros = np.zeros(count, np.uint8)
-    return Frames(
-        begin_ns + CYCLE * np.arange(count, dtype=np.int64),
-        np.full(count, 0x520, np.uint32),
-        zeros,
-        zeros + np.uint8(8),
-        np.full(count, int.from_bytes(data, "little"), np.uint64),
-        np.zeros(count, np.int32),
-        ["can0"],
-    )
+NOT_SWITCHED_OFF = "the car has not been switched off since its last run"
 
 
 def test_a_missing_power_cycle_is_known_an_hour_after_the_run() -> None:
     run = every_cycle(0, S, (0x520, status(AsState.AS_FINISHED)), *AI)
-    hour = hours(S, 360_000, status(AsState.AS_OFF))
+    hour = many(S, 360_000, OFF[1])
     view = watching(run, *in_chunks(hour, 10 * S))
     now_ns = int(hour.t_ns[-1])
-    assert "the car has not been switched off since its last run" in words(view.picture(now_ns))
+    assert NOT_SWITCHED_OFF in words(view.picture(now_ns))
     window = view.memory.window(now_ns)
     assert len(view.memory.condensed(window)) - len(window) < 8000
-    long_after = hours(4 * S, 360_000, status(AsState.AS_OFF))
-    switched = seen(run, *in_chunks(hours(S, 100, status(AsState.AS_OFF))), long_after)
-    assert "the car has not been switched off since its last run" not in words(switched)
+    switched = seen(run, many(S, 100, OFF[1]), many(4 * S, 360_000, OFF[1]))
+    assert NOT_SWITCHED_OFF not in words(switched)
 
 
-def test_a_silence_of_less_than_1_s_is_never_a_power_cycle() -> None:
-    for shift in range(0, 500, 50):
-        begin_ns = S + shift * MS
-        run = every_cycle(0, begin_ns, (0x520, status(AsState.AS_FINISHED)), *AI)
-        off_1 = hours(begin_ns, 43, status(AsState.AS_OFF))
-        off_2 = hours(int(off_1.t_ns[-1]) + 990 * MS, 2000, status(AsState.AS_OFF))
-        picture = seen(run, off_1, off_2)
-        assert "the car has not been switched off since its last run" in words(picture), shift
+@pytest.mark.parametrize("shift_ns", range(0, 500 * MS, 50 * MS))
+def test_a_silence_of_less_than_1_s_is_never_a_power_cycle(shift_ns: int) -> None:
+    run = every_cycle(0, S + shift_ns, (0x520, status(AsState.AS_FINISHED)), *AI)
+    before = many(S + shift_ns, 43, OFF[1])
+    after_it = many(int(before.t_ns[-1]) + 990 * MS, 2000, OFF[1])
+    assert NOT_SWITCHED_OFF in words(seen(run, before, after_it))
 
 
 def test_times_that_step_back_do_not_make_old_frames_new() -> None:
     frames = every_cycle(100 * S, 101 * S, (0x520, status(AsState.AS_READY)), *AI)
-    back = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
-    view = watching(frames, *in_chunks(back))
+    view = watching(frames, *in_chunks(every_cycle(0, S, DRIVING, *AI)))
     assert view.memory.newest_ns == 101 * S - CYCLE + 2 * (5 * MS // 2) + 99 * CYCLE
-    picture = view.picture(view.memory.newest_ns)
-    assert picture.as_state == "AS_DRIVING"
-    assert picture.as_state_s == pytest.approx(0.99, abs=0.02)
+    picture = newest(view)
+    assert picture.as_state == "AS_DRIVING" and picture.as_state_s == pytest.approx(0.99, abs=0.02)
 
 
 def test_chunks_of_any_size_give_the_same_picture() -> None:
@@ -333,15 +292,12 @@ def test_the_revision_is_recognised_or_as_given() -> None:
 
 
 def test_a_byte_says_when_and_how_often_it_changed() -> None:
-    steady = every_cycle(0, 2 * S, (0x7AA, "0102"))
-    changed = every_cycle(2 * S, 3 * S, (0x7AA, "0107"))
-    view = watching(steady, changed)
-    now_ns = 2 * S + 500 * MS
-    assert {one.can_id: one.changed for one in view.picture(now_ns).messages}[0x7AA] == (1,)
+    view = watching(every_cycle(0, 2 * S, (0x7AA, "0102")), every_cycle(2 * S, 3 * S, (0x7AA, "0107")))
+    assert message(view.picture(2 * S + 500 * MS), 0x7AA).changed == (1,)
+    assert message(view.picture(3 * S + 1), 0x7AA).changed == ()
     first, second = view.bytes(0x7AA, 3 * S)
     assert (first.value, first.changes, first.changed_s) == ("01", 0, None)
     assert (second.value, second.before, second.changes, second.changed_s) == ("07", "02", 1, 1.0)
-    assert {one.can_id: one.changed for one in view.picture(3 * S + 1).messages}[0x7AA] == ()
 
 
 def test_signals_are_picked_by_name_or_message_in_any_case(go_off: Ended) -> None:
@@ -364,8 +320,8 @@ def test_signals_of_a_foreign_database_have_its_words(tmp_path: Path) -> None:
         ' SG_ LEVEL : 8|8@1+ (0.5,0) [0|100] "%" A\n\nVAL_ 419 COLOUR 0 "OFF" 1 "RED";\n'
     )
     view = View("can0", databases=load_databases([path]))
-    view.update(every_cycle(0, S, (0x1A3, "0032"), (0x520, status(AsState.AS_OFF))))
-    view.update(every_cycle(S, 2 * S, (0x1A3, "0119"), (0x520, status(AsState.AS_OFF))))
+    view.update(every_cycle(0, S, (0x1A3, "0032"), OFF))
+    view.update(later((0x1A3, "0119"), OFF))
     view.picture(2 * S)
     found = {one.name: (one.value, one.before, one.extent) for one in view.signals(["*"], 2 * S)}
     assert found == {"Lamp.COLOUR": ("RED", "OFF", ""), "Lamp.LEVEL": ("12.5 %", "25 %", "12.5 … 25")}
@@ -373,12 +329,12 @@ def test_signals_of_a_foreign_database_have_its_words(tmp_path: Path) -> None:
 
 def test_events_are_remembered_an_hour_later_with_times() -> None:
     run = [
-        every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI),
-        every_cycle(S, 2 * S, (0x520, status(AsState.AS_READY)), *AI),
-        every_cycle(2 * S, 3 * S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI),
+        GOOD,
+        later((0x520, status(AsState.AS_READY)), *AI),
+        every_cycle(2 * S, 3 * S, DRIVING, *AI),
         every_cycle(3 * S, 4 * S, (0x520, status(AsState.EMERGENCY_BRAKE, bits=1 << 24 | 1 << 49)), *AI),
     ]
-    view = watching(*run, *in_chunks(hours(4 * S, 360_000, status(AsState.AS_OFF)), 10 * S))
+    view = watching(*run, *in_chunks(many(4 * S, 360_000, OFF[1]), 10 * S))
     found = {one.text: one.t_ns for one in view.events()}
     assert found["AS_STATE AS_OFF → AS_READY"] == S
     assert found["AS_STATE AS_READY → AS_DRIVING"] == found["Go on"] == 2 * S
@@ -390,13 +346,9 @@ def test_events_are_remembered_an_hour_later_with_times() -> None:
 # ---------------------------------------------------------------- a log
 
 
-def pieces(frames: Frames) -> Iterator[Frames]:
-    return iter(in_chunks(frames, 700 * MS))
-
-
 def test_any_moment_of_a_log_is_as_if_it_had_just_come(go_off: Ended) -> None:
     frames = go_off.frames
-    log = Log(pieces(frames), View("can0"), 0.0, None)
+    log = Log(iter(in_chunks(frames, 700 * MS)), View("can0"), 0.0, None)
     begin_ns, end_ns = int(frames.t_ns[0]), int(frames.t_ns[-1])
     assert (log.begin_ns, log.end_ns, log.position_ns) == (begin_ns, end_ns, begin_ns)
     for t_ns in (end_ns, begin_ns + S // 3, begin_ns + 700 * MS, end_ns - S, begin_ns + 5 * S):
@@ -409,15 +361,16 @@ def test_any_moment_of_a_log_is_as_if_it_had_just_come(go_off: Ended) -> None:
     assert log.position_ns == begin_ns and not log.ended
 
 
-def test_an_old_emergency_brake_in_a_log_keeps_its_cause(asms_off: Ended) -> None:
-    last = asms_off.frames.only(asms_off.frames.t_ns > asms_off.frames.t_ns[-1] - CYCLE)
+def test_an_old_emergency_brake_in_a_log_keeps_its_cause() -> None:
+    frames = branch(driving(), lambda run: run.switch(asms=False), 2.0).frames
+    last = frames.only(frames.t_ns > frames.t_ns[-1] - CYCLE)
     after = [last.at(last.t_ns + step) for step in range(CYCLE, 2 * LONG_NS, CYCLE)]
-    log = Log(iter([*in_chunks(asms_off.frames), joined(after)]), View("can0"), None, None)
+    log = Log(iter([*in_chunks(frames), joined(after)]), View("can0"), None, None)
     assert "ASMS was turned off" in log.look().picture.why_not_driving[0].words
 
 
 def test_a_log_plays_and_pauses_and_begins_again_at_its_end() -> None:
-    log = Log(pieces(every_cycle(0, 3 * S, (0x520, status(AsState.AS_OFF)))), View("can0"), None, 2.0)
+    log = Log(iter([every_cycle(0, 3 * S, OFF)]), View("can0"), None, 2.0)
     positions = []
     for seconds in (0.5, 0.5, 1.0):
         log.advance(seconds)
@@ -432,7 +385,7 @@ def test_a_log_plays_and_pauses_and_begins_again_at_its_end() -> None:
 
 
 def test_a_log_is_read_only_as_far_as_is_looked() -> None:
-    chunks = pieces(every_cycle(0, 60 * S, (0x520, status(AsState.AS_OFF))))
+    chunks = iter(in_chunks(every_cycle(0, 60 * S, OFF), 700 * MS))
     log = Log(chunks, View("can0"), None, 1.0)
     log.advance(1.0)
     assert not log.ended and next(chunks).t_ns[0] < 4 * S
@@ -452,11 +405,10 @@ def standing(monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
 
 def test_a_held_picture_stays_and_nothing_is_lost_meanwhile(standing: tuple[int, int]) -> None:
     go_on = threading.Event()
-
     now_ns, heard_ns = standing[0], [standing[1]]
 
     def chunks() -> Iterator[Frames]:
-        yield every_cycle(now_ns - S, now_ns, (0x520, status(AsState.AS_OFF)))
+        yield every_cycle(now_ns - S, now_ns, OFF)
         go_on.wait()
         heard_ns.append(heard_ns[0] + 200 * MS)
         yield every_cycle(now_ns, now_ns + 200 * MS, (0x520, status(AsState.AS_READY)))
@@ -482,15 +434,16 @@ def test_a_display_that_lags_does_not_call_the_car_silent(standing: tuple[int, i
     live = Live(iter([before]), View("can0"), heard_ns=lambda: now_ns - (2 * S if lags else 0))
     live.wait(60.0)
     picture = live.look().picture
-    seen = next(one for one in picture.messages if one.can_id == 0x520)
-    assert (seen.freshness, picture.as_state) == ((Freshness.FRESH, "AS_DRIVING") if lags else (Freshness.LOST, None))
+    assert (message(picture, 0x520).freshness, picture.as_state) == (
+        (Freshness.FRESH, "AS_DRIVING") if lags else (Freshness.LOST, None)
+    )
     assert any(text.startswith("this display lags by ") for text in picture.link) == lags
     live.close()
 
 
 def test_what_ends_the_reading_of_a_bus_is_raised_at_close() -> None:
     def chunks() -> Iterator[Frames]:
-        yield every_cycle(0, S, (0x520, status(AsState.AS_OFF)))
+        yield every_cycle(0, S, OFF)
         raise OSError("no such bus any more")
 
     live = Live(chunks(), View("can0"))
@@ -505,7 +458,7 @@ def test_a_second_ctrl_c_waits_for_the_chunk_that_is_taken(monkeypatch: pytest.M
 
     def chunks() -> Iterator[Frames]:
         go_on.wait()
-        yield every_cycle(0, S, (0x520, status(AsState.AS_OFF)))
+        yield every_cycle(0, S, OFF)
 
     def interrupted(waited: list[Future[None]]) -> None:
         pressed.append(not go_on.is_set())
@@ -524,11 +477,12 @@ def test_a_second_ctrl_c_waits_for_the_chunk_that_is_taken(monkeypatch: pytest.M
 
 def test_lap_times_between_the_counters_steps_are_remembered() -> None:
     moved, ends = 3 * S, (40 * S, 75 * S)
-    state, view = (0x520, status(AsState.AS_DRIVING, go=True)), View("can0")
-    view.update(every_cycle(-S, 0, (0x520, status(AsState.AS_READY)), (0x525, "00" * 8), (0x510, "0010040000000000")))
+    view = watching(
+        every_cycle(-S, 0, (0x520, status(AsState.AS_READY)), (0x525, "00" * 8), (0x510, "0010040000000000"))
+    )
     edges = [0, moved, *ends, 80 * S]
     for lap, rpm, begin_ns, end_ns in zip((0, 0, 1, 2), ("0000", *["2800"] * 3), edges, edges[1:], strict=False):
-        view.update(every_cycle(begin_ns, end_ns, state, (0x525, rpm * 4), (0x510, f"00200{lap}0000000000")))
+        view.update(every_cycle(begin_ns, end_ns, DRIVING, (0x525, rpm * 4), (0x510, f"00200{lap}0000000000")))
     picture = view.picture(80 * S)
     assert (picture.lap, picture.laps, picture.lap_times_s) == (2, 10, pytest.approx((37.0, 35.0), abs=0.011))
     assert view.picture(20 * S).lap_times_s == ()
@@ -552,17 +506,11 @@ def test_trends_are_the_last_ten_seconds_of_the_bus(go_off: Ended) -> None:
 
 
 def drawn(picture: Picture, width: int, height: int, *, dark_phase: bool = False, color: bool = False) -> list[str]:
-    console = Console(
-        file=io.StringIO(),
-        width=width,
-        highlight=False,
-        force_terminal=color,
-        color_system="standard" if color else None,
-    )
+    out = io.StringIO()
+    console = Console(file=out, width=width, highlight=False, color_system="standard" if color else None)
     console.print(head(picture, "12:34:56", width))
     console.print(overview(picture, width, height, dark_phase=dark_phase))
-    assert isinstance(console.file, io.StringIO)
-    return [line.rstrip() for line in console.file.getvalue().splitlines()]
+    return [line.rstrip() for line in out.getvalue().splitlines()]
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (40, 10), (20, 5), (132, 43)])
@@ -570,7 +518,7 @@ def test_a_picture_never_is_wider_than_the_terminal(width: int, height: int, go_
     strange = frames_of([LogFrame(int(go_off.frames.t_ns[-1]), "can0", can_id) for can_id in range(0x700, 0x740)])
     for picture in (
         seen(go_off.frames, strange),
-        seen(go_off.frames, now_ns=int(go_off.frames.t_ns[-1]) + 4000 * S),
+        watching(go_off.frames).picture(int(go_off.frames.t_ns[-1]) + 4000 * S),
         View("can0").picture(0),
     ):
         assert max(map(len, drawn(picture, width, height))) <= width
@@ -581,18 +529,13 @@ def test_a_picture_never_is_wider_than_the_terminal(width: int, height: int, go_
 def test_80_by_24_shows_everything_at_once(go_off: Ended) -> None:
     text = "\n".join(drawn(seen(go_off.frames), 79, 24)[:23])
     for part in (
-        "EMERGENCY_BRAKE for 2.0 s",
-        "mode autonomous",
+        "● EMERGENCY_BRAKE for 2.0 s  Go off  ASMS on  TSMS on  mode autonomous\n",
         "mission ACCELERATION",
-        "Go off",
-        "ASMS on",
-        "why not driving:",
-        "the remote's Go went off",
-        "steering",
-        "torque rear",
-        "brake front",
-        "m/s",
-        "rpm  FL 0",
+        "why not driving:\n  - the remote's Go went off",
+        "steering        0.0",
+        "torque rear     0.0",
+        "brake front     0.0  100.0        %",
+        "speed       0.0 m/s, 0 km/h   rpm  FL 0",
         "handshake   answered in",
         "faults      none",
         "510 AI2VCU_Status          100/s",
@@ -611,9 +554,8 @@ def test_a_small_screen_keeps_the_reasons_before_the_figures() -> None:
 
 
 def test_messages_that_are_not_well_are_shown_first() -> None:
-    frames = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *((i, "01") for i in range(0x700, 0x715)), (0x7FF, ""))
-    on = every_cycle(S, 5 * S, (0x520, status(AsState.AS_OFF)), *((i, "01") for i in range(0x700, 0x715)))
-    lines = drawn(seen(frames, on), 80, 24)
+    others = [(can_id, "01") for can_id in range(0x700, 0x715)]
+    lines = drawn(seen(every_cycle(0, S, OFF, *others, (0x7FF, "")), every_cycle(S, 5 * S, OFF, *others)), 80, 24)
     assert any(re.search(r"7FF in no database .* LOST", line) for line in lines[:24])
 
 
@@ -636,12 +578,11 @@ def test_a_state_has_the_colour_of_the_cars_lights(state: AsState, light: str, f
 
 
 def test_changed_bytes_and_values_are_highlighted() -> None:
-    view = watching(every_cycle(0, S, (0x7AA, "0102")), every_cycle(S, 2 * S, (0x7AA, "0107")))
-    picture = view.picture(S + 100 * MS)
-    row = message_row({one.can_id: one for one in picture.messages}[0x7AA], 80)
+    view = watching(every_cycle(0, S, (0x7AA, "0102")), later((0x7AA, "0107")))
+    row = message_row(message(view.picture(S + 100 * MS), 0x7AA), 80)
     assert [row.plain[span.start : span.end] for span in row.spans if "reverse" in str(span.style)] == ["07"]
-    now, later = (history_row(view.bytes(0x7AA, t_ns)[1], 80) for t_ns in (S + 100 * MS, 3 * S))
-    marked = [[span for span in each.spans if "reverse" in str(span.style)] for each in (now, later)]
+    now, old = (history_row(view.bytes(0x7AA, t_ns)[1], 80) for t_ns in (S + 100 * MS, 3 * S))
+    marked = [[span for span in each.spans if "reverse" in str(span.style)] for each in (now, old)]
     assert list(map(len, marked)) == [1, 0] and "100 ms ago, 1×, was 02" in now.plain
 
 
@@ -655,9 +596,7 @@ def test_a_value_that_does_not_fit_ends_in_a_mark() -> None:
 def test_control_characters_in_names_never_reach_the_terminal(go_off: Ended) -> None:
     view = View("\x1b]0;evil\x07bus")
     view.update(go_off.frames)
-    picture = view.picture(int(go_off.frames.t_ns[-1]))
-    for text in itertools.chain(drawn(picture, 80, 24), [plain_line(picture, "\x1b[2J")]):
-        assert text.isprintable()
+    assert all(line.isprintable() for line in [*drawn(newest(view), 80, 24), plain_line(newest(view), "\x1b[2J")])
 
 
 def test_the_plain_line_is_one_line_with_the_reasons(go_off: Ended) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from copy import deepcopy
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,7 +15,7 @@ import ros_attacks
 from fsai_msgs.action import RunMission
 from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from fsai_msgs.srv import SetMode
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import Point, Pose, PoseStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -22,14 +24,20 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from ros_attacks import Attack, attacks, class_of, together
 from ros_rig import STATUS, Driving, RosRig, ScriptedVcu, logged, while_driving
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+from visualization_msgs.msg import MarkerArray
 
 import fsai_nodes
+from fsai_hil.simulator.ground_truth import TruthReceiver
 from fsai_nodes import qos
+from fsai_nodes.ackermann_adapter import AckermannAdapter
 from fsai_nodes.complaints import complaints_of
 from fsai_nodes.cone_detector import ConeDetector
 from fsai_nodes.declarations import DECLARED, key_of
 from fsai_nodes.door import MOST_GOALS, Door
-from fsai_nodes.fields import FREE, UNREAD, Number, Parts, Several, Text, Whole, printable
+from fsai_nodes.fields import FREE, UNREAD, Kind, Number, Parts, Several, Text, Whole, printable
 from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.sensor_simulator import SensorSimulator
 from fsai_nodes.vcu_bridge import VcuBridge
@@ -46,41 +54,31 @@ GID = bytes(range(16))
 # ---------------------------------------------------------------- kinds of fields
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.5, -0.1])
-def test_a_number_out_of_range_is_named_with_its_range(value: float) -> None:
-    assert Number(0.0, 1.0).misfit(value, "throttle") == f"throttle is {value:g}, not a number from 0 to 1"
-
-
-@pytest.mark.parametrize("value", [0.0, -0.0, 1.0, 5e-324])
-def test_a_number_within_its_range_fits(value: float) -> None:
-    assert Number(0.0, 1.0).misfit(value, "throttle") == ""
-
-
-def test_nan_fits_where_it_means_something() -> None:
-    stop = Number(0.0, 10.0, nan="no stop known")
-    assert stop.misfit(math.nan, "stop") == ""
-    assert stop.misfit(-1.0, "stop") == "stop is -1, not a number from 0 to 10 or NaN (no stop known)"
-
-
-def test_a_whole_number_may_have_values_beside_its_range() -> None:
-    state = Whole(0, 5, also=(255,))
-    assert [state.misfit(value, "as_state") for value in (0, 5, 255)] == ["", "", ""]
-    assert state.misfit(6, "as_state") == "as_state is 6, not 0 to 5 or 255"
+UNIT, STOP, STATE = Number(0.0, 1.0), Number(0.0, 10.0, nan="no stop known"), Whole(0, 5, also=(255,))
+ROLE = Text(20, ("planner", "controller"))
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("kind", "value", "words"),
     [
-        ("x" * 21, "role is 'xxxxxxxxxxxxxxxxxxxxx', longer than 20 characters"),
-        ("driver", "role is 'driver', not one of planner, controller"),
+        *((UNIT, value, "") for value in (0.0, -0.0, 1.0, 5e-324)),
+        (UNIT, 1.5, "f is 1.5, not a number from 0 to 1"),
+        (UNIT, -0.1, "f is -0.1, not a number from 0 to 1"),
+        (UNIT, math.nan, "f is nan, not a number from 0 to 1"),
+        (UNIT, math.inf, "f is inf, not a number from 0 to 1"),
+        (UNIT, -math.inf, "f is -inf, not a number from 0 to 1"),
+        (STOP, math.nan, ""),
+        (STOP, -1.0, "f is -1, not a number from 0 to 10 or NaN (no stop known)"),
+        *((STATE, value, "") for value in (0, 5, 255)),
+        (STATE, 6, "f is 6, not 0 to 5 or 255"),
+        (ROLE, "x" * 21, "f is 'xxxxxxxxxxxxxxxxxxxxx', longer than 20 characters"),
+        (ROLE, "driver", "f is 'driver', not one of planner, controller"),
+        (Text(20), "a\x1b[2J\n", r"f is 'a\x1b[2J\n', which has control characters"),
+        (Several(Text(3), 5), ["abc", "abcd"], "f[1] is 'abcd', longer than 3 characters"),
     ],
 )
-def test_a_text_is_bounded_in_length_and_choice(text: str, words: str) -> None:
-    assert Text(20, ("planner", "controller")).misfit(text, "role") == words
-
-
-def test_control_characters_are_refused_and_shown_as_escapes() -> None:
-    assert Text(20).misfit("a\x1b[2J\n", "note") == r"note is 'a\x1b[2J\n', which has control characters"
+def test_what_does_not_fit_its_field_is_named_with_its_bounds(kind: Kind, value: Any, words: str) -> None:
+    assert kind.misfit(value, "f") == words
 
 
 def test_a_long_text_is_repeated_shortened() -> None:
@@ -95,7 +93,6 @@ def test_an_array_says_which_of_its_items_do_not_fit() -> None:
     assert points.unfit(array, "points")[0].tolist() == [False, True, True]
     assert points.misfit([Point()] * 6, "points") == "points has 6 items, more than 5"
     assert points.misfit([Point(z=math.nan)], "points") == ""
-    assert Several(Text(3), 5).misfit(["abc", "abcd"], "names") == "names[1] is 'abcd', longer than 3 characters"
 
 
 # ---------------------------------------------------------------- declarations
@@ -121,14 +118,10 @@ def _same_fields(kind: type[Any], parts: Parts, where: str) -> None:
         if isinstance(field, Parts):
             _same_fields(class_of(type_name), field, f"{where}.{name}")
         elif type_name in ("double", "float"):
-            assert isinstance(field, Number) or field is UNREAD or key_is_value(where), f"{where}.{name}"
+            by_parameter = where.endswith(".value")  # the parameter's own declaration judges it
+            assert isinstance(field, Number) or field is UNREAD or by_parameter, f"{where}.{name}"
         elif type_name == "string":
             assert isinstance(field, Text) or field is UNREAD, f"{where}.{name}"
-
-
-def key_is_value(where: str) -> bool:
-    """A parameter's value: the parameter's own declaration judges it."""
-    return where.endswith(".value")
 
 
 def test_nothing_is_taken_from_ros_but_through_the_door() -> None:
@@ -141,9 +134,6 @@ def test_nothing_is_taken_from_ros_but_through_the_door() -> None:
 
 
 def test_an_undeclared_type_makes_no_subscription_or_service(rig: RosRig) -> None:
-    from sensor_msgs.msg import Imu
-    from std_srvs.srv import SetBool
-
     door = Door(rig.tester)
     with pytest.raises(LookupError, match="sensor_msgs/Imu is taken by a node and not declared"):
         door.subscription(Imu, "imu", print)
@@ -154,12 +144,27 @@ def test_an_undeclared_type_makes_no_subscription_or_service(rig: RosRig) -> Non
 # ---------------------------------------------------------------- generated attacks
 
 
+GOOD: dict[type[Any], Any] = {
+    RunState: RunState(run_id=RUN, mission=int(Ami.TRACKDRIVE), as_state=3, may_move=True),
+    VehicleState: VehicleState(run_id=RUN, as_state=3, mission=4, speed_mps=3.0, x=1.0),
+    ConeArray: ConeArray(
+        cones=[Cone(x=x, y=y, color=c, confidence=1.0) for x in (2.0, 5.0, 8.0) for y, c in ((1.5, 1), (-1.5, 2))]
+    ),
+    PlannerStatus: PlannerStatus(run_id=RUN, mission=4, stop_distance_m=math.nan),
+    Path: Path(
+        header=Header(frame_id="base_link"),
+        poses=[PoseStamped(pose=Pose(position=Point(x=float(x)))) for x in range(4)],
+    ),
+    ResetConfirmation: ResetConfirmation(role="planner", run_id=RUN),
+}
+
+
 class Stack:
     """All nodes in this process, given messages as their subscriptions are, without a middleware in between."""
 
     def __init__(self, rig: RosRig, bus: str) -> None:
-        from fsai_nodes.ackermann_adapter import AckermannAdapter
-
+        with TruthReceiver(0) as free:
+            free_port = int(free.port)
         self.rig = rig
         self.bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
         self.controller = rig.start(VehicleController)
@@ -171,9 +176,9 @@ class Stack:
             rig.start(ConeDetector),
             *(rig.start(AckermannAdapter, preset=team) for team in ("eufs", "eufs_sim2", "fsai_api")),
             self.visualization,
-            rig.start(SensorSimulator, truth_port=_free_port()),
+            rig.start(SensorSimulator, truth_port=free_port),
         ]
-        rig.subscribe(_markers(), "/markers", qos.VIEW)
+        rig.subscribe(MarkerArray, "/markers", qos.VIEW)
         rig.spin_until(lambda: bool(self.visualization._markers.get_subscription_count()), "somebody looks")
 
     def give(self, kind: type[Any], data: bytes) -> list[tuple[Node, str]]:
@@ -196,49 +201,16 @@ class Stack:
         self.controller._tick()
         self.visualization._publish()
         self.bridge._publish()
+        self.rig.turns()  # and what timers do
 
     def good(self, kind: type[Any]) -> Any:
         """A message as a stack in order sends it."""
-        stamp = self.rig.stamp()
-        match kind.__name__:
-            case "RunState":
-                message = RunState(run_id=RUN, mission=int(Ami.TRACKDRIVE), as_state=3, may_move=True)
-            case "VehicleState":
-                message = VehicleState(run_id=RUN, as_state=3, mission=4, speed_mps=3.0, x=1.0)
-            case "ConeArray":
-                cones = [
-                    Cone(x=float(x), y=y, color=c, confidence=1.0) for x in (2, 5, 8) for y, c in ((1.5, 1), (-1.5, 2))
-                ]
-                message = ConeArray(cones=cones)
-            case "PlannerStatus":
-                message = PlannerStatus(run_id=RUN, mission=4, stop_distance_m=math.nan)
-            case "Path":
-                message = Path(poses=[PoseStamped() for _ in range(4)])
-                for index, pose in enumerate(message.poses):
-                    pose.pose.position.x = float(index)
-                message.header.frame_id = "base_link"
-            case "VehicleCommand":
-                message = VehicleCommand(run_id=self.bridge._outputs.run.run_id if self.bridge._outputs.run else 0)
-            case "ResetConfirmation":
-                message = ResetConfirmation(role="planner", run_id=RUN)
-            case _:
-                message = kind()
+        message = deepcopy(GOOD[kind]) if kind in GOOD else kind()
+        if kind is VehicleCommand and self.bridge._outputs.run:
+            message.run_id = self.bridge._outputs.run.run_id
         if hasattr(message, "header"):
-            message.header.stamp = stamp
+            message.header.stamp = self.rig.stamp()
         return message
-
-
-def _free_port() -> int:
-    from fsai_hil.simulator.ground_truth import TruthReceiver
-
-    with TruthReceiver(0) as free:
-        return int(free.port)
-
-
-def _markers() -> type[Any]:
-    from visualization_msgs.msg import MarkerArray
-
-    return MarkerArray  # type: ignore[no-any-return]
 
 
 MESSAGES = [key for key in DECLARED if not key.endswith(("_Request", "_Goal"))]
@@ -267,10 +239,7 @@ def test_no_generated_message_ends_a_node_bad_ones_are_refused(rig: RosRig, bus:
         given = 0
         for key in MESSAGES:
             kind = class_of(key)
-
-            def good(kind: type[Any] = kind) -> Any:
-                return stack.good(kind)
-
+            good = partial(stack.good, kind)
             for attack in (*attacks(kind, good), *together(kind, good, seed=len(key), count=20)):
                 refused = stack.give(kind, attack.data)
                 assert refused or not must_be_refused(key, attack), f"{attack} is not refused"
@@ -283,20 +252,12 @@ def test_no_generated_message_ends_a_node_bad_ones_are_refused(rig: RosRig, bus:
         assert torque == {0.0}
 
 
-def requests(stack: Stack) -> Iterator[tuple[Node, Any]]:
-    for node in stack.nodes:
-        for service in node.services:
-            yield node, service
-
-
 def test_each_generated_request_has_its_answer(rig: RosRig, bus: str) -> None:
     stack = Stack(rig, bus)
     kept = {node: dict(node._parameters) for node in stack.nodes}
-    for node, service in requests(stack):
-        kind = service.srv_type.Request
-        key = key_of(kind)
-        assert key in DECLARED, f"{service.srv_name} takes {key}, which is not declared"
-        name = service.srv_name
+    for node, service in [(each, service) for each in stack.nodes for service in each.services]:
+        kind, name = service.srv_type.Request, service.srv_name
+        assert key_of(kind) in DECLARED, f"{name} takes {key_of(kind)}, which is not declared"
         if "set_parameters" in name or name.endswith("change_state"):
             continue  # these change the node: below
         for attack in attacks(kind):
@@ -328,20 +289,16 @@ def answer_to(rig: RosRig, node: Node, service: Any, request: Any) -> Any:
 
 def _set_to_anything(rig: RosRig, node: Node, name: str) -> None:
     (service,) = [each for each in node.services if each.srv_name.endswith("/set_parameters")]
+    values: list[dict[str, Any]] = [{"type": 200}]
     for field, kind in ParameterValue.get_fields_and_field_types().items():
-        for number in (0, getattr(ParameterType, f"PARAMETER_{field.removesuffix('_value').upper()}", 200)):
-            if field == "type":
-                number = 200
-            item = ros_attacks.item_of(kind)
-            values = [] if item else ros_attacks.values_of(kind, few=True).values()
-            for value in values:
-                set_to = ParameterValue(**{field: value}) if field != "type" else ParameterValue()
-                set_to.type = number
-                request = SetParameters.Request(parameters=[Parameter(name=name, value=set_to)])
-                answer = answer_to(rig, node, service, request)
-                assert len(answer.results) == 1, (name, field)
-                result = answer.results[0]
-                assert result.successful or result.reason, (name, field, str(value)[:30])
+        if field != "type" and not ros_attacks.item_of(kind):
+            own_type = getattr(ParameterType, f"PARAMETER_{field.removesuffix('_value').upper()}", 200)
+            bad = ros_attacks.values_of(kind, few=True).values()
+            values += [{"type": number, field: value} for number in (0, own_type) for value in bad]
+    for value in values:
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=ParameterValue(**value))])
+        (result,) = answer_to(rig, node, service, request).results
+        assert result.successful or result.reason, (name, str(value)[:60])
 
 
 def test_no_generated_goal_ends_the_bridge(rig: RosRig, bus: str) -> None:
