@@ -216,28 +216,31 @@ class LinkEnd:
         if self.closed:
             return []
         messages: list[Message] = []
-        newest: bytes | None = None
-        ended = False
-        for lane in (self._lanes.urgent, self._lanes.ordinary):
-            for _ in range(_MOST_AT_ONCE):
-                try:
-                    size = lane.recv_into(self._buffer)
-                except BlockingIOError:
-                    break
-                except OSError:
-                    ended = True
-                    break
-                if size == 0 and _is_over(lane):
-                    ended = True
-                    break
-                if self._view[:1] == _REPORT and size:
-                    newest = bytes(self._view[1:size])
-                else:
-                    self._decode_into(messages, self._view[1:size])
-        if newest is not None:
-            self._decode_into(messages, newest)
-        self.closed = self.closed or ended
+        reports: list[bytes] = []
+        ended = [self._take(lane, messages, reports) for lane in (self._lanes.urgent, self._lanes.ordinary)]
+        if any(ended):  # what the far end said last may have come after the urgent lane was read
+            self._take(self._lanes.urgent, messages, reports)
+            self.closed = True
+        for report in reports:
+            self._decode_into(messages, report)
         return messages
+
+    def _take(self, lane: socket.socket, messages: list[Message], reports: list[bytes]) -> bool:
+        """Read what waits in a lane, the newest report undecoded; return true where the far end has closed it."""
+        for _ in range(_MOST_AT_ONCE):
+            try:
+                size = lane.recv_into(self._buffer)
+            except BlockingIOError:
+                return False
+            except OSError:
+                return True
+            if size == 0 and _is_over(lane):
+                return True
+            if self._view[:1] == _REPORT and size:
+                reports[:] = [bytes(self._view[1:size])]
+            else:
+                self._decode_into(messages, self._view[1:size])
+        return False
 
     def close(self) -> None:
         self.closed = True

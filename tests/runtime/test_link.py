@@ -60,6 +60,31 @@ def ends() -> Iterator[tuple[LinkEnd, LinkEnd]]:
     loop.close()
 
 
+def test_the_last_word_of_an_end_that_closes_is_read(ends: tuple[LinkEnd, LinkEnd]) -> None:
+    edge, loop = ends
+
+    class Before:
+        """The urgent lane; when it has been read, the far end says its last word and closes."""
+
+        def __init__(self, lane: socket.socket) -> None:
+            self._lane = lane
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._lane, name)
+
+        def recv_into(self, buffer: Any) -> int:
+            try:
+                return self._lane.recv_into(buffer)
+            finally:
+                loop.send(Ended("RuntimeError: a bug"))
+                loop.close()
+
+    lanes: Any = edge._lanes
+    edge._lanes = lanes._replace(urgent=Before(lanes.urgent))
+    assert edge.receive() == [Ended("RuntimeError: a bug")]
+    assert edge.closed
+
+
 @pytest.fixture
 def loop(spec: str) -> Iterator[ThreadedLoop]:
     running = ThreadedLoop(spec)
