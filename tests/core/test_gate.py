@@ -483,7 +483,7 @@ KINDS: dict[str, Kind] = {
     "Z": (decision(Phase.EMERGENCY_MOVING), {}),
 }
 ECHOES = None, VcuBrake(front_request_pct=0.5), VcuBrake(rear_request_pct=0.5), VcuBrake(t_rx_ns=-10 * MS)
-"""What 0x524 may say, the last from before the zeros could be seen; the time is from now."""
+"""Readings of 0x524; the last is from before the zeros could be seen. The time is from now."""
 
 
 @pytest.mark.parametrize("broken", [False, None])
