@@ -442,7 +442,7 @@ def bridge_of(ours: str) -> Bridge:
 
 
 def telling_of(theirs: str, t_ns: int) -> Frame:
-    """What only a car of that revision says: VCU_STATUS, or a tractive system that runs."""
+    """A message or state that only a car of that revision has: VCU_STATUS, or a tractive system that runs."""
     if theirs == "2021":
         return codec_of(theirs).encode(VcuSystemStatus(t_rx_ns=t_ns))
     return codec_of(theirs).encode(VcuStatus(as_state=READY, ts_state=TsState.TS_RUNNING, t_rx_ns=t_ns))

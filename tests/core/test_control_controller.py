@@ -130,7 +130,7 @@ class Drive:
         return float(np.sqrt((self.beside_m[self.along_m > from_m] ** 2).mean()))
 
     def braked_at_m(self) -> np.ndarray:
-        """Where the brake is first touched each time."""
+        """Places at which the brake is first touched each time."""
         return self.along_m[1:][(self.brake[1:] > 0.0) & (self.brake[:-1] == 0.0)]
 
 

@@ -179,7 +179,7 @@ def test_torque_is_never_rounded_up() -> None:
 
 
 def test_the_smallest_of_all_limits_is_in_force() -> None:
-    """Of the revision, the car, the interface and the official."""
+    """The limits are those of the revision, the car, the interface and the official."""
     for steer_deg, expected_deg in ((math.inf, 21.0), (21.5, 21.0), (20.5, 20.5)):
         limits = OperationalLimits(max_steer_deg=steer_deg)
         assert gate_config(BridgeConfig(), revision("2021"), ADS_DV_2021, limits).steer_limit_deg == expected_deg

@@ -1,4 +1,4 @@
-"""What the recorder has on the disk, whatever happens to disk, folder or power."""
+"""The recorder's files on the disk, whatever happens to disk, folder or power."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def received(count: int, first: int = 0) -> list[tuple[Frame, int]]:
 
 
 def numbers(*logs: Path) -> list[int]:
-    """Of the frames in logs, every one of which is whole."""
+    """The frames in logs, every one of which is whole."""
     found = []
     for path in logs:
         frames, problems = read_log(path)

@@ -1,4 +1,4 @@
-"""What comes from ROS and does not fit is refused in a sentence, whatever it is, and nothing of it ends a node."""
+"""A message from ROS that does not fit is refused in a sentence, whatever it is, and nothing of it ends a node."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ MESSAGES = [key for key in DECLARED if not key.endswith(("_Request", "_Goal"))]
 
 
 def reads(key: str, field: str) -> bool:
-    """Whether any node reads it."""
+    """Return true where a node reads it."""
     at: Any = DECLARED[key]
     for name in field.split("."):
         if isinstance(at, Several):

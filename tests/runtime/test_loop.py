@@ -217,7 +217,7 @@ def hanging(
 def test_a_late_request_is_refused_but_an_emergency_is_done(
     loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What nobody waits for any more is not done behind his back, unless it is better late than never."""
+    """A call that nobody waits for any more is not done behind his back, unless it is better late than never."""
     done: list[object] = []
 
     def do(*what: object) -> tuple[bool, str]:
