@@ -27,7 +27,7 @@ from fsai_vcu.core.missions.demo import DemoState, advance_demo
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import InspectionState, advance_inspection, inspection_of
-from fsai_vcu.core.vehicle.forces import brake_for, most_mps2, throttle_for
+from fsai_vcu.core.vehicle.forces import brake_for, most_mps2, throttle_for, traction_mps2
 from fsai_vcu.core.vehicle.odometry import CARRIED_NS, MotionHistory, motion_at
 from fsai_vcu.core.vehicle.parameters import (
     SLIP_LEAST_RADPMPS2,
@@ -57,6 +57,7 @@ STEERED_KEPT = 50  # commands: half a second at 100 Hz
 LONGEST_STEP_S = 0.1  # between two commands; a longer one counts as this
 TAKEN_BACK = 0.02  # of the pace at once: trouble, and no slow change
 BEYOND_GRIP_MPS2 = 1.2  # braked with where the path asks for all the grip that there is, or more
+LEFT_FOR_SURPRISES = 1.05  # times the grip planned with: what throttle and brake share with the corner as it is driven
 LEAST_BRAKE = 0.005  # the request's resolution: the brake makes its own least of it
 
 
@@ -298,8 +299,7 @@ class Controller:
             return 0.0, settings.gentle_brake
         askew = math.remainder(course - float(np.interp(station, line.along_m, line.heading_rad)), 2.0 * math.pi)
         late = not plan.mapped and abs(curvature) > ASKEW_1PM and abs(askew) > ASKEW_RAD and speed > ASKEW_MPS
-        most = 0.0 if late else most_mps2(self._car, speed)
-        throttle, brake = self._accelerate(line, station - travel, speed, most, now_ns)
+        throttle, brake = self._accelerate(line, station - travel, motion, late, now_ns)
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
     def _profile_of(self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float) -> Floats:
@@ -405,19 +405,23 @@ class Controller:
             self._taken_up_rad = math.copysign(settings.backlash_share * car.steer_backlash_rad, turned)
         self._steering_rad = self._within(road + self._taken_up_rad)
 
-    def _accelerate(self, line: PathLine, here_m: float, speed: float, most: float, now_ns: int) -> tuple[float, float]:
-        """Return throttle and brake that meet the profile a moment ahead: of bounded jerk, `most` (m/s2) at most."""
-        settings = self._settings
+    def _accelerate(self, line: PathLine, here_m: float, motion: Motion, late: bool, now_ns: int) -> tuple[float, float]:
+        """Return throttle and brake that meet the profile a moment ahead: of bounded jerk, and no throttle if late."""
+        settings, speed = self._settings, motion.speed_mps
         assert self._profile is not None
         later = speed + self._acceleration_mps2 * settings.reaction_s
         ahead_m = here_m + speed * settings.reaction_s + max(later, 0.0) * settings.preview_s
         aim = math.sqrt(float(np.interp(ahead_m, line.along_m, self._profile)))
         wanted = (aim - later) / settings.preview_s
-        # A profile that sinks at once (a map that is lost) asks for no more than the tyres have left in the corner.
+        # A profile that sinks at once (a map that is lost), or a car that turns more than its path, asks for no more than
+        # the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
+        lateral = speed * max(speed * curvature, abs(motion.yaw_rate_radps))
+        grip = LEFT_FOR_SURPRISES * self._grip_mps2(mapped=True, known=True)[0]
         most_braking = settings.sight_braking_max_mps2 if self._sight_end_m < math.inf else settings.braking_max_mps2
-        share = braking_share(speed * speed * curvature / self._grip_mps2(mapped=True, known=True)[0])
-        hardest = max(most_braking * share, BEYOND_GRIP_MPS2)
+        hardest = max(most_braking * braking_share(lateral / grip), BEYOND_GRIP_MPS2)
+        left = traction_mps2(self._car, grip, speed * motion.yaw_rate_radps)
+        most = 0.0 if late else min(most_mps2(self._car, speed), left)
         wanted = min(max(min(wanted, self._for_sight(here_m, speed)), -hardest), most)
         if self._accelerated_ns is not None:
             change = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)

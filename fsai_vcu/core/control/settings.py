@@ -16,7 +16,7 @@ class ControllerSettings(Value, frozen=True):
 
     max_speed_mps: Annotated[float, within(0.5, NO_SPEED_LIMIT_MPS)] = NO_SPEED_LIMIT_MPS  # in every mission
     lap_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 12.0  # autocross, trackdrive
-    race_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 15.0  # of them, where the path follows a map
+    race_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 16.0  # of them, where the path follows a map
     skidpad_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 6.0
     acceleration_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 25.0
     # Nor more than the car's own.
@@ -30,7 +30,7 @@ class ControllerSettings(Value, frozen=True):
     sight_braking_mps2: Annotated[float, within(0.5, 8.0)] = 6.5  # … and by sight: it stops on what cones bear out
     sight_braking_max_mps2: Annotated[float, within(1.2, 9.0)] = 8.0
     race_lateral_mps2: Annotated[float, within(0.5, 15.0)] = 7.5  # the same where the path follows a map …
-    race_braking_mps2: Annotated[float, within(0.5, 8.0)] = 6.5  # … or is known beforehand
+    race_braking_mps2: Annotated[float, within(0.5, 8.0)] = 7.2  # … or is known beforehand
     stopping_mps2: Annotated[float, within(0.5, 8.0)] = 4.0  # planned before the stopping place
     braking_max_mps2: Annotated[float, within(1.2, 9.0)] = 8.0
     end_of_path_mps: Annotated[float, within(0.0, 20.0)] = 4.0  # with what lies behind the path's end unknown

@@ -18,7 +18,7 @@ SMOOTHED_OVER = 5  # points: a curvature counts for the speed when it lasts
 GENTLE_END_M, GENTLE_STOP_MPS2 = 1.5, 1.5  # before the place where the car must stand: no jolt
 # Of the braking, left in a corner at the limit of grip; and by the share of the lateral grip that is left: braking
 # lightens the rear axle, which then holds the car in the corner less well than the front one.
-BRAKING_SHARE_MIN, LIGHTENED = 0.05, 4.0
+BRAKING_SHARE_MIN, LIGHTENED = 0.05, 2.2
 
 
 def braking_share(sideways: float) -> float:

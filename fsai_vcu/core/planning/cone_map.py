@@ -26,7 +26,7 @@ VIEW_M = 14.0  # cones come into view about this far ahead
 BELIEVED_HITS = 3.0
 AVERAGE_OVER = 20.0  # sightings in a cone's mean
 TRUST_GAIN, TRUST_NEW, TRUST_MIN = 0.15, 0.5, 0.2  # of the share of looks at a cone's place that find it
-MOVED_M = 0.2  # a cone so far from where it was when the map was taken has moved, …
+MOVED_M = 0.1  # a cone so far from where it was when the map was taken has moved, …
 BORDER_M = 4.0  # … which matters within this distance of the driven path
 
 GATE_M = 0.8  # a cone seen further than this from every known one is not matched

@@ -197,7 +197,7 @@ class ConeMemory:
         colored, rows = SIDES.take(color), rows_of(here)
         by_color = by_chain(colored, rows)
         lane = known["side"][index]
-        # A cone's side of the lane, look after look, outvotes a colour that contradicts it and its neighbours' colour.
+        # The side on which lanes have had a cone, look after look, outvotes its colour, but not between two such.
         contrary = np.where(_between_own(by_color, rows), by_color, within(by_color + lane / OUTVOTES, 1.0))
         if np.count_nonzero(by_color * contrary < 0.0) > OUTVOTED_MOST:
             contrary = by_color  # so many wrong colours are rarer than a wrong lane

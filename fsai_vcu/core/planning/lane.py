@@ -5,6 +5,8 @@ middle that the last look found. A chain is good when cones stand to its left an
 right at the distance of a border, blue ones left and yellow ones right, each counted once; bad when it drives into
 cones, has colours on the wrong side, or jerks. So a missing cone costs nothing, a false one little, and a lone border
 is enough; where cones have no colour, the order in which they stand along the chain decides what is left and right.
+Where the best chain has a cone of the wrong colour beside it, the search runs once more with cheaper bends, for a tight
+chicane can cost more than such a cone does; that chain counts if it has no such cone.
 Then the chain is moved to the middle between the borders and smoothed.
 """
 

@@ -38,7 +38,7 @@ BEHIND_JOINING = 20  # points of the line: so little behind the place where it j
 ASIDE_JOINING_M, ASIDE_M, TURNED_RAD = 1.2, 0.8, 0.5  # further off, the car is not on the line
 MIDDLE_M = 15.0  # of the lane's middle, ahead of the car
 LOOK_M = 20.0  # how far ahead the path is compared with the cones seen
-BESIDE_M, BESIDE_PER_M = 0.05, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
+BESIDE_M, BESIDE_PER_M = 0.2, 0.02  # what must be left beside the body to a cone seen, and its doubt by its distance
 
 
 class Racing:

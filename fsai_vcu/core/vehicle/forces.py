@@ -29,6 +29,13 @@ def most_mps2(car: VehicleParameters, speed_mps: float) -> float:
     return force_n / (car.mass_kg + car.rotating_mass_kg)
 
 
+def traction_mps2(car: VehicleParameters, grip_mps2: float, lateral_mps2: float) -> float:
+    """The acceleration that the driven tyres, of such a grip, have left beside a lateral acceleration."""
+    ahead = car.cog_ahead_of_rear_axle_m / car.wheelbase_m
+    driven_weight = ahead * car.driven_front + (1.0 - ahead) * car.driven_rear
+    return driven_weight * math.sqrt(max(grip_mps2**2 - lateral_mps2**2, 0.0))
+
+
 def throttle_for(car: VehicleParameters, acceleration_mps2: float, speed_mps: float) -> float:
     """Fraction 0…1 of the axle torque that is allowed at a speed; 0 also where only brakes would do."""
     force_n = (car.mass_kg + car.rotating_mass_kg) * acceleration_mps2 + resistance_n(car, speed_mps)

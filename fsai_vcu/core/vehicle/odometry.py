@@ -32,6 +32,7 @@ class OdometrySettings(Value, frozen=True):
     resting_ns: int = 500_000_000  # … so without one wheel pulse for this long the car stands
     braking_pct: float = 1.0  # pressure from which on a wheel may turn slower than the road
     yaw_rate_disagreement_radps: float = 0.15  # five times what a sound sensor differs from steering and wheels
+    yaw_rate_resolution_radps: float = 0.02  # of an axle's wheels: 1 rpm more on one of them
     bias_gain: float = 0.02  # of the yaw-rate sensor's bias, per reading at rest
     bias_max_radps: float = 0.05
 
@@ -163,12 +164,16 @@ def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState,
         bias += SETTINGS.bias_gain * (sensed[0] - bias)
         bias = max(-SETTINGS.bias_max_radps, min(SETTINGS.bias_max_radps, bias))
     yaw_rate, yaw_rate_sd = kinematic, speed * SETTINGS.curvature_sd_1pm
-    if speed > 0.0 and sensed is not None:
+    if speed > 0.0:
         # A sliding car turns otherwise than it is steered, and a spinning wheel otherwise than the car: what lies
-        # between them, or near, can be. A sensor that drifts is found out before the car has lost its way.
-        others = (kinematic, *_yaw_rates_by_wheels(car, speeds, curvature))
-        margin = SETTINGS.yaw_rate_disagreement_radps
-        if min(others) - margin <= sensed[0] - bias <= max(others) + margin:
+        # between them, or near, can be. A sensor that drifts is found out before the car has lost its way. Without a
+        # sensor the steering is believed, but where both axles' wheels turn more than it says, or both less.
+        by_wheels = _yaw_rates_by_wheels(car, speeds, curvature)
+        least, most, margin = min(by_wheels), max(by_wheels), SETTINGS.yaw_rate_disagreement_radps
+        if sensed is None:
+            resolution = SETTINGS.yaw_rate_resolution_radps
+            yaw_rate = min(max(kinematic, least - resolution), most + resolution)
+        elif min(kinematic, least) - margin <= sensed[0] - bias <= max(kinematic, most) + margin:
             yaw_rate, yaw_rate_sd = sensed[0] - bias, SETTINGS.yaw_rate_sd_radps
 
     way = 0.5 * (speed + before.speed_mps) * dt_s
