@@ -26,7 +26,7 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.pose import resampled
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.supervision.gate import constant_power_nm
-from fsai_vcu.core.vehicle.forces import brake_for
+from fsai_vcu.core.vehicle.forces import brake_for, throttle_for
 from fsai_vcu.core.vehicle.parameters import (
     ADS_DV_2021,
     ADS_DV_2026,
@@ -717,6 +717,22 @@ def test_a_map_lost_in_a_corner_leaves_grip_for_the_corner() -> None:
     assert 0.0 < brake * CAR.brake_full_mps2 <= 1.2 * most + 0.13 * CAR.brake_full_mps2
 
 
+@pytest.mark.parametrize(("speed_mps", "pedal"), [(5.0, "throttle"), (14.0, "brake")])
+def test_a_car_that_turns_at_its_grip_is_left_the_grip(speed_mps: float, pedal: str) -> None:
+    """Though its path is straight: what the tyres carry sideways, they cannot carry along."""
+
+    def asked(lateral_mps2: float) -> float:
+        controller = reset_for(RUN)
+        for tick in range(30):
+            motion = Motion(t_ns=tick * 20 * MS, speed_mps=speed_mps, yaw_rate_radps=lateral_mps2 / speed_mps)
+            command = ask(plan_of(STRAIGHT, tick * 20 * MS), now_ns=motion.t_ns, controller=controller, motion=motion)
+        found: float = getattr(command, pedal)
+        return found
+
+    least = throttle_for(CAR, 0.0, speed_mps) if pedal == "throttle" else brake_for(CAR, 1.2, speed_mps)
+    assert asked(0.0) > asked(6.5 if pedal == "brake" else 7.7) > asked(8.0) == asked(-8.0) == pytest.approx(least)
+
+
 @cache
 def raced_speed(slip_radpmps2: float, mapped: bool = True) -> float:
     """The speed at which throttle ends in a corner of 10 m, after 600 m with tyres that slip so."""
@@ -760,5 +776,5 @@ def test_a_car_too_fast_for_its_corner_brakes(speed: float) -> None:
 def test_braking_near_the_limit_leaves_the_rear_axle_its_grip() -> None:
     assert braking_share(0.0) == 1.0
     assert braking_share(0.5) == pytest.approx(math.sqrt(0.75))
-    assert braking_share(0.95) == pytest.approx(0.2) and braking_share(0.9) == pytest.approx(0.4)
+    assert braking_share(0.95) == pytest.approx(0.11) and braking_share(0.9) == pytest.approx(0.22)
     assert braking_share(1.3) == braking_share(1.0) == 0.05

@@ -255,6 +255,28 @@ def test_a_sliding_car_turns_as_gyro_and_wheels_measure(share: float) -> None:
     assert turning(sliding, math.degrees(real), now) == pytest.approx(real)
 
 
+@pytest.mark.parametrize("sensed_degps", [math.nan, 500.0])
+@pytest.mark.parametrize("rolls_deg", [5.0, 20.0])
+def test_without_a_sound_gyro_both_axles_wheels_outrank_steering(rolls_deg: float, sensed_degps: float) -> None:
+    """Near the limit of grip the car turns less than it is steered, or more."""
+    now = 10 * MS
+    sliding = VehicleState(speeds=wheels(CAR, 8.0, rolls_deg, now), steer=VcuSteer(10.0, t_rx_ns=now))
+    by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (rolls_deg, 10.0))
+    assert abs(turning(sliding, sensed_degps, now) - by_wheels) < 0.2 * abs(by_steering - by_wheels)
+
+
+@pytest.mark.parametrize("axle", [0, 2])
+def test_one_axle_alone_does_not_outrank_the_steering(axle: int) -> None:
+    """One wheel may spin, lock or have lost its sensor."""
+    now = 10 * MS
+    speeds = wheels(CAR, 8.0, 10.0, now)
+    turned = [*speeds.all_rpm]
+    turned[axle], turned[axle + 1] = 0, 2 * turned[axle + 1]
+    wrong = VehicleState(speeds=WheelSpeeds(*turned, t_rx_ns=now), steer=VcuSteer(10.0, t_rx_ns=now))
+    moves = advance(CAR, standing_start(0), wrong, GpsImu()).motion
+    assert moves.yaw_rate_radps == pytest.approx(moves.speed_mps * math.tan(math.radians(10.0)) / CAR.wheelbase_m)
+
+
 def test_the_sensors_bias_is_learnt_at_rest_and_survives_a_reset() -> None:
     odometry = Odometry(CAR)
     for step in range(1, 401):

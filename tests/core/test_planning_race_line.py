@@ -54,6 +54,17 @@ def test_the_line_bends_less_than_the_middle_of_the_lane(track: Track) -> None:
     assert squared_curvature(race_line(track).xy_m) < 0.9 * squared_curvature(track.centreline_m)
 
 
+@pytest.mark.parametrize("track", [OVAL, WINDING])
+def test_the_line_bends_least_where_its_corners_are_tightest(track: Track, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may bend more in all than a line of the least sum of squares: how fast a corner is depends on its tightest."""
+    uneven = race_line(track)
+    monkeypatch.setattr("fsai_vcu.core.planning.race_line.EVEN_ROUNDS", 99)
+    even = race_line(track)
+    assert squared_curvature(uneven.xy_m) > squared_curvature(even.xy_m)
+    fourth, of_even = ((ring_curvature(line.xy_m, over=2) ** 4).mean() for line in (uneven, even))
+    assert fourth < 0.98 * of_even
+
+
 @cache
 def _mapped() -> tuple[Ride, Plan]:
     ride = Ride(OVAL, laps=4)

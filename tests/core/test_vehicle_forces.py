@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_vcu.core.vehicle.forces import brake_for, resistance_n, throttle_for
+from fsai_vcu.core.vehicle.forces import brake_for, resistance_n, throttle_for, traction_mps2
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
 
 
@@ -29,3 +29,10 @@ def test_brake_gives_the_deceleration_and_never_less_than_none() -> None:
     braked_mps2 = brake * car.brake_full_mps2 * car.brake_excess
     assert braked_mps2 + resistance_n(car, 10.0) / car.mass_kg == pytest.approx(4.0)
     assert brake_for(car, 0.1, 10.0) == 0.0 and brake_for(car, 99.0, 10.0) == 1.0
+
+
+def test_driven_tyres_have_left_what_the_corner_does_not_take() -> None:
+    """Both axles' tyres of the one car, those of half the weight of the other."""
+    for car, weight in ((ADS_DV_2021, 1.0), (ADS_DV_2026, 0.5)):
+        left = [traction_mps2(car, 10.0, lateral) / weight for lateral in (0.0, 6.0, -6.0, 10.0, 12.0)]
+        assert left == pytest.approx([10.0, 8.0, 8.0, 0.0, 0.0])

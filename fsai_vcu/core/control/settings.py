@@ -16,7 +16,7 @@ class ControllerSettings(Value, frozen=True):
 
     max_speed_mps: Annotated[float, within(0.5, NO_SPEED_LIMIT_MPS)] = NO_SPEED_LIMIT_MPS  # in every mission
     lap_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 12.0  # autocross, trackdrive
-    race_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 16.0  # of them, where the path follows a map
+    race_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 15.5  # of them, where the path follows a map
     skidpad_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 6.0
     acceleration_max_speed_mps: Annotated[float, within(0.5, 30.0)] = 25.0
     # Nor more than the car's own.

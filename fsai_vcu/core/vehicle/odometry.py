@@ -169,11 +169,10 @@ def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState,
         # between them, or near, can be. A sensor that drifts is found out before the car has lost its way. Without a
         # sensor the steering is believed, but where both axles' wheels turn more than it says, or both less.
         by_wheels = _yaw_rates_by_wheels(car, speeds, curvature)
-        least, most, margin = min(by_wheels), max(by_wheels), SETTINGS.yaw_rate_disagreement_radps
-        if sensed is None:
-            resolution = SETTINGS.yaw_rate_resolution_radps
-            yaw_rate = min(max(kinematic, least - resolution), most + resolution)
-        elif min(kinematic, least) - margin <= sensed[0] - bias <= max(kinematic, most) + margin:
+        least, most = min(by_wheels), max(by_wheels)
+        resolution, margin = SETTINGS.yaw_rate_resolution_radps, SETTINGS.yaw_rate_disagreement_radps
+        yaw_rate = min(max(kinematic, least - resolution), most + resolution)
+        if sensed is not None and min(kinematic, least) - margin <= sensed[0] - bias <= max(kinematic, most) + margin:
             yaw_rate, yaw_rate_sd = sensed[0] - bias, SETTINGS.yaw_rate_sd_radps
 
     way = 0.5 * (speed + before.speed_mps) * dt_s
