@@ -11,6 +11,7 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.odometry import (
     SETTINGS,
     MotionHistory,
+    OdometryState,
     advance,
     begin_run,
     motion_at,
@@ -255,25 +256,58 @@ def test_a_sliding_car_turns_as_gyro_and_wheels_measure(share: float) -> None:
     assert turning(sliding, math.degrees(real), now) == pytest.approx(real)
 
 
+def learnt(share: float, way_m: float = 60.0) -> OdometryState:
+    """A car that has driven straight on, with tyres on the left that are so much larger than those on the right."""
+    odometry = standing_start(0)
+    for step in range(1, round(way_m / 8.0 * 100.0)):
+        odometry = advance(CAR, odometry, unlike(share, 0.0, 0.0, step * 10 * MS), GpsImu())
+    return odometry
+
+
+def unlike(share: float, rolls_deg: float, steer_deg: float, t_ns: int) -> VehicleState:
+    """A car at 8 m/s that is steered so and rolls as if it were steered otherwise, with tyres that differ."""
+    fl, fr, rl, rr = wheels(CAR, 8.0, rolls_deg, t_ns).all_rpm
+    speeds = WheelSpeeds(round(fl / share), fr, round(rl / share), rr, t_rx_ns=t_ns)
+    return VehicleState(speeds=speeds, steer=VcuSteer(steer_deg, t_rx_ns=t_ns))
+
+
+@pytest.mark.parametrize("share", [0.98, 1.0, 1.01])
 @pytest.mark.parametrize("sensed_degps", [math.nan, 500.0])
 @pytest.mark.parametrize("rolls_deg", [5.0, 20.0])
-def test_without_a_sound_gyro_both_axles_wheels_outrank_steering(rolls_deg: float, sensed_degps: float) -> None:
-    """Near the limit of grip the car turns less than it is steered, or more."""
-    now = 10 * MS
-    sliding = VehicleState(speeds=wheels(CAR, 8.0, rolls_deg, now), steer=VcuSteer(10.0, t_rx_ns=now))
+def test_without_a_sound_gyro_both_axles_wheels_outrank_steering(
+    rolls_deg: float, sensed_degps: float, share: float
+) -> None:
+    """Near the limit of grip the car turns less than it is steered, or more; whatever its tyres, once it knows them."""
+    before = learnt(share)
+    now = before.motion.t_ns + 10 * MS
+    gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=sensed_degps, t_rx_ns=now))
+    turns = advance(CAR, before, unlike(share, rolls_deg, 10.0, now), gps).motion.yaw_rate_radps
     by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (rolls_deg, 10.0))
-    assert abs(turning(sliding, sensed_degps, now) - by_wheels) < 0.2 * abs(by_steering - by_wheels)
+    assert abs(turns - by_wheels) < 0.2 * abs(by_steering - by_wheels)
+
+
+@pytest.mark.parametrize(("share", "way_m"), [(1.03, 300.0), (1.03, 40.0), (1.0, 40.0)])
+def test_tyres_that_differ_do_not_turn_the_car(share: float, way_m: float) -> None:
+    """Neither before it is learnt by how much, nor then, nor in a run that begins."""
+    for before in (learnt(share, way_m), begin_run(learnt(share, way_m), 0)):
+        assert abs(advance(CAR, before, unlike(share, 0.0, 0.0, 90_000 * MS), GpsImu()).motion.yaw_rate_radps) < 0.01
+
+
+def test_a_corner_at_the_limit_teaches_nothing_of_the_tyres() -> None:
+    before = learnt(1.0)
+    after = advance(CAR, before, unlike(1.0, 5.0, 10.0, before.motion.t_ns + 10 * MS), GpsImu())
+    assert (after.wheels_off_1pm, after.learnt_m) == (before.wheels_off_1pm, before.learnt_m)
 
 
 @pytest.mark.parametrize("axle", [0, 2])
 def test_one_axle_alone_does_not_outrank_the_steering(axle: int) -> None:
     """One wheel may spin, lock or have lost its sensor."""
-    now = 10 * MS
-    speeds = wheels(CAR, 8.0, 10.0, now)
-    turned = [*speeds.all_rpm]
+    before = learnt(1.0)
+    now = before.motion.t_ns + 10 * MS
+    turned = [*wheels(CAR, 8.0, 10.0, now).all_rpm]
     turned[axle], turned[axle + 1] = 0, 2 * turned[axle + 1]
     wrong = VehicleState(speeds=WheelSpeeds(*turned, t_rx_ns=now), steer=VcuSteer(10.0, t_rx_ns=now))
-    moves = advance(CAR, standing_start(0), wrong, GpsImu()).motion
+    moves = advance(CAR, before, wrong, GpsImu()).motion
     assert moves.yaw_rate_radps == pytest.approx(moves.speed_mps * math.tan(math.radians(10.0)) / CAR.wheelbase_m)
 
 

@@ -405,7 +405,9 @@ class Controller:
             self._taken_up_rad = math.copysign(settings.backlash_share * car.steer_backlash_rad, turned)
         self._steering_rad = self._within(road + self._taken_up_rad)
 
-    def _accelerate(self, line: PathLine, here_m: float, motion: Motion, late: bool, now_ns: int) -> tuple[float, float]:
+    def _accelerate(
+        self, line: PathLine, here_m: float, motion: Motion, late: bool, now_ns: int
+    ) -> tuple[float, float]:
         """Return throttle and brake that meet the profile a moment ahead: of bounded jerk, and no throttle if late."""
         settings, speed = self._settings, motion.speed_mps
         assert self._profile is not None
@@ -413,8 +415,8 @@ class Controller:
         ahead_m = here_m + speed * settings.reaction_s + max(later, 0.0) * settings.preview_s
         aim = math.sqrt(float(np.interp(ahead_m, line.along_m, self._profile)))
         wanted = (aim - later) / settings.preview_s
-        # A profile that sinks at once (a map that is lost), or a car that turns more than its path, asks for no more than
-        # the tyres have left in the corner.
+        # A profile that sinks at once (a map that is lost), or a car that turns more than its path, asks for no more
+        # than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
         lateral = speed * max(speed * curvature, abs(motion.yaw_rate_radps))
         grip = LEFT_FOR_SURPRISES * self._grip_mps2(mapped=True, known=True)[0]
