@@ -249,11 +249,12 @@ def test_a_yaw_rate_far_from_steering_and_wheels_is_invalid(side: float) -> None
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_a_sliding_car_turns_as_gyro_and_wheels_measure(share: float) -> None:
     """Steered by 20 deg, its wheels roll as if it were steered by 5: anything between the two can be."""
-    now = 10 * MS
-    sliding = VehicleState(speeds=wheels(CAR, 8.0, 5.0, now), steer=VcuSteer(20.0, t_rx_ns=now))
     by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (5.0, 20.0))
     real = by_wheels + share * 0.9 * (by_steering - by_wheels)
-    assert turning(sliding, math.degrees(real), now) == pytest.approx(real)
+    for before in (standing_start(0), learnt(1.0)):
+        now = before.motion.t_ns + 10 * MS
+        gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=math.degrees(real), t_rx_ns=now))
+        assert advance(CAR, before, unlike(1.0, 5.0, 20.0, now), gps).motion.yaw_rate_radps == pytest.approx(real)
 
 
 def learnt(share: float, way_m: float = 60.0) -> OdometryState:
@@ -286,11 +287,19 @@ def test_without_a_sound_gyro_both_axles_wheels_outrank_steering(
     assert abs(turns - by_wheels) < 0.2 * abs(by_steering - by_wheels)
 
 
-@pytest.mark.parametrize(("share", "way_m"), [(1.03, 300.0), (1.03, 40.0), (1.0, 40.0)])
-def test_tyres_that_differ_do_not_turn_the_car(share: float, way_m: float) -> None:
+@pytest.mark.parametrize("way_m", [5.0, 300.0])
+def test_tyres_that_differ_do_not_turn_the_car(way_m: float) -> None:
     """Neither before it is learnt by how much, nor then, nor in a run that begins."""
-    for before in (learnt(share, way_m), begin_run(learnt(share, way_m), 0)):
-        assert abs(advance(CAR, before, unlike(share, 0.0, 0.0, 90_000 * MS), GpsImu()).motion.yaw_rate_radps) < 0.01
+    for before in (learnt(1.03, way_m), begin_run(learnt(1.03, way_m), 0)):
+        assert abs(advance(CAR, before, unlike(1.03, 0.0, 0.0, 90_000 * MS), GpsImu()).motion.yaw_rate_radps) < 0.01
+
+
+@pytest.mark.parametrize(("way_m", "believed"), [(40.0, False), (60.0, True)])
+def test_wheels_are_believed_after_50_m_and_in_later_runs(way_m: float, believed: bool) -> None:
+    by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (5.0, 10.0))
+    for before in (learnt(1.0, way_m), begin_run(learnt(1.0, way_m), 0)):
+        turns = advance(CAR, before, unlike(1.0, 5.0, 10.0, 90_000 * MS), GpsImu()).motion.yaw_rate_radps
+        assert (turns < 0.5 * (by_wheels + by_steering)) == believed
 
 
 def test_a_corner_at_the_limit_teaches_nothing_of_the_tyres() -> None:

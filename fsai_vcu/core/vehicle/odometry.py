@@ -201,10 +201,12 @@ def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState,
         by_wheels = _yaw_rates_by_wheels(car, speeds, curvature)
         front, rear = (rate - speed * off for rate, off in zip(by_wheels, wheels_off, strict=True))
         least, most, margin = min(front, rear), max(front, rear), SETTINGS.yaw_rate_disagreement_radps
-        if sensed is not None and min(kinematic, least) - margin <= sensed[0] - bias <= max(kinematic, most) + margin:
-            yaw_rate, yaw_rate_sd = sensed[0] - bias, SETTINGS.yaw_rate_sd_radps
+        by_sensor = math.nan if sensed is None else sensed[0] - bias
+        believed = min(kinematic, least) - margin <= by_sensor <= max(kinematic, most) + margin
+        if believed:
+            yaw_rate, yaw_rate_sd = by_sensor, SETTINGS.yaw_rate_sd_radps
         wheels_off, learnt_m = _tyres_learnt(state, by_wheels, speed, yaw_rate, way)
-        if yaw_rate == kinematic and learnt_m >= SETTINGS.learnt_m:
+        if not believed and learnt_m >= SETTINGS.learnt_m:
             resolution = SETTINGS.yaw_rate_resolution_radps
             yaw_rate = min(max(kinematic, least - resolution), most + resolution)
 
