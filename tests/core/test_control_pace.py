@@ -10,6 +10,8 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.control.pace import (
     ANGLE_RAD,
+    BLIND_ANGLE_RAD,
+    BLIND_MOST,
     GROWS_1PM,
     LEAST,
     LOST_M,
@@ -21,7 +23,7 @@ from fsai_vcu.core.control.pace import (
     axle_slip,
 )
 
-WELL = Signs(distance_m=0.0, aside_m=0.1, axle_slip=0.02, angle_rad=ANGLE_RAD, sure=True)
+WELL = Signs(distance_m=0.0, aside_m=0.1, axle_slip=0.02, angle_rad=ANGLE_RAD, sure=True, turn_sensed=True)
 
 
 def raced(way_m: int, share: float, pace: Pace | None = None, **trouble: Any) -> Pace:
@@ -39,6 +41,18 @@ def test_the_slip_aimed_at_leaves_the_pace_alone() -> None:
 @pytest.mark.parametrize(("share", "gain"), [(0.9, 1.0 / 0.9), (1.1, 1.0 / 1.1), (0.5, MOST), (2.0, LEAST)])
 def test_the_pace_becomes_what_makes_the_slip_aimed_at(share: float, gain: float) -> None:
     assert raced(1000, share).gain == pytest.approx(gain)
+
+
+def test_a_car_that_does_not_sense_how_it_turns_is_asked_for_less() -> None:
+    blind, sensed, slip_rad = Pace(), Pace(), 0.09
+    for metre in range(1000):
+        seen = replace(WELL, distance_m=float(metre), angle_rad=slip_rad)
+        sensed, blind = sensed.after(seen), blind.after(replace(seen, turn_sensed=False))
+    assert (sensed.gain, blind.gain) == pytest.approx((ANGLE_RAD / slip_rad, BLIND_ANGLE_RAD / slip_rad))
+    fast = raced(1000, 0.5)
+    for _ in range(50):  # the sensor falls silent
+        fast = fast.after(replace(WELL, distance_m=fast.distance_m + 1.0, angle_rad=0.5 * ANGLE_RAD, turn_sensed=False))
+    assert fast.gain == BLIND_MOST
 
 
 def test_the_pace_grows_only_where_the_slip_is_measured() -> None:

@@ -11,7 +11,6 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.odometry import (
     SETTINGS,
     MotionHistory,
-    OdometryState,
     advance,
     begin_run,
     motion_at,
@@ -249,75 +248,11 @@ def test_a_yaw_rate_far_from_steering_and_wheels_is_invalid(side: float) -> None
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_a_sliding_car_turns_as_gyro_and_wheels_measure(share: float) -> None:
     """Steered by 20 deg, its wheels roll as if it were steered by 5: anything between the two can be."""
+    now = 10 * MS
+    sliding = VehicleState(speeds=wheels(CAR, 8.0, 5.0, now), steer=VcuSteer(20.0, t_rx_ns=now))
     by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (5.0, 20.0))
     real = by_wheels + share * 0.9 * (by_steering - by_wheels)
-    for before in (standing_start(0), learnt(1.0)):
-        now = before.motion.t_ns + 10 * MS
-        gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=math.degrees(real), t_rx_ns=now))
-        assert advance(CAR, before, unlike(1.0, 5.0, 20.0, now), gps).motion.yaw_rate_radps == pytest.approx(real)
-
-
-def learnt(share: float, way_m: float = 60.0) -> OdometryState:
-    """A car that has driven straight on, with tyres on the left that are so much larger than those on the right."""
-    odometry = standing_start(0)
-    for step in range(1, round(way_m / 8.0 * 100.0)):
-        odometry = advance(CAR, odometry, unlike(share, 0.0, 0.0, step * 10 * MS), GpsImu())
-    return odometry
-
-
-def unlike(share: float, rolls_deg: float, steer_deg: float, t_ns: int) -> VehicleState:
-    """A car at 8 m/s that is steered so and rolls as if it were steered otherwise, with tyres that differ."""
-    fl, fr, rl, rr = wheels(CAR, 8.0, rolls_deg, t_ns).all_rpm
-    speeds = WheelSpeeds(round(fl / share), fr, round(rl / share), rr, t_rx_ns=t_ns)
-    return VehicleState(speeds=speeds, steer=VcuSteer(steer_deg, t_rx_ns=t_ns))
-
-
-@pytest.mark.parametrize("share", [0.98, 1.0, 1.01])
-@pytest.mark.parametrize("sensed_degps", [math.nan, 500.0])
-@pytest.mark.parametrize("rolls_deg", [5.0, 20.0])
-def test_without_a_sound_gyro_both_axles_wheels_outrank_steering(
-    rolls_deg: float, sensed_degps: float, share: float
-) -> None:
-    """Near the limit of grip the car turns less than it is steered, or more; whatever its tyres, once it knows them."""
-    before = learnt(share)
-    now = before.motion.t_ns + 10 * MS
-    gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=sensed_degps, t_rx_ns=now))
-    turns = advance(CAR, before, unlike(share, rolls_deg, 10.0, now), gps).motion.yaw_rate_radps
-    by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (rolls_deg, 10.0))
-    assert abs(turns - by_wheels) < 0.2 * abs(by_steering - by_wheels)
-
-
-@pytest.mark.parametrize("way_m", [5.0, 300.0])
-def test_tyres_that_differ_do_not_turn_the_car(way_m: float) -> None:
-    """Neither before it is learnt by how much, nor then, nor in a run that begins."""
-    for before in (learnt(1.03, way_m), begin_run(learnt(1.03, way_m), 0)):
-        assert abs(advance(CAR, before, unlike(1.03, 0.0, 0.0, 90_000 * MS), GpsImu()).motion.yaw_rate_radps) < 0.01
-
-
-@pytest.mark.parametrize(("way_m", "believed"), [(40.0, False), (60.0, True)])
-def test_wheels_are_believed_after_50_m_and_in_later_runs(way_m: float, believed: bool) -> None:
-    by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (5.0, 10.0))
-    for before in (learnt(1.0, way_m), begin_run(learnt(1.0, way_m), 0)):
-        turns = advance(CAR, before, unlike(1.0, 5.0, 10.0, 90_000 * MS), GpsImu()).motion.yaw_rate_radps
-        assert (turns < 0.5 * (by_wheels + by_steering)) == believed
-
-
-def test_a_corner_at_the_limit_teaches_nothing_of_the_tyres() -> None:
-    before = learnt(1.0)
-    after = advance(CAR, before, unlike(1.0, 5.0, 10.0, before.motion.t_ns + 10 * MS), GpsImu())
-    assert (after.wheels_off_1pm, after.learnt_m) == (before.wheels_off_1pm, before.learnt_m)
-
-
-@pytest.mark.parametrize("axle", [0, 2])
-def test_one_axle_alone_does_not_outrank_the_steering(axle: int) -> None:
-    """One wheel may spin, lock or have lost its sensor."""
-    before = learnt(1.0)
-    now = before.motion.t_ns + 10 * MS
-    turned = [*wheels(CAR, 8.0, 10.0, now).all_rpm]
-    turned[axle], turned[axle + 1] = 0, 2 * turned[axle + 1]
-    wrong = VehicleState(speeds=WheelSpeeds(*turned, t_rx_ns=now), steer=VcuSteer(10.0, t_rx_ns=now))
-    moves = advance(CAR, before, wrong, GpsImu()).motion
-    assert moves.yaw_rate_radps == pytest.approx(moves.speed_mps * math.tan(math.radians(10.0)) / CAR.wheelbase_m)
+    assert turning(sliding, math.degrees(real), now) == pytest.approx(real)
 
 
 def test_the_sensors_bias_is_learnt_at_rest_and_survives_a_reset() -> None:

@@ -186,6 +186,12 @@ def test_the_vehicle_state_is_in_si_units_and_in_the_cars_words() -> None:
     assert message.why_not_driving
 
 
+def test_the_controller_knows_how_sure_the_yaw_rate_is() -> None:
+    motion = Motion(7, 1.0, 2.0, 0.5, 5.0, 0.25, 12.0, yaw_rate_sd_radps=0.03)
+    state = to.state_to_msg(replace(report_after(), motion=motion), STAMP, math.nan)
+    assert to.motion_from_state(state, 7) == motion
+
+
 def test_odometry_says_how_sure_it_is() -> None:
     motion = Motion(x_m=1.0, speed_mps=5.0, position_sd_m=2.0, yaw_sd_rad=0.5, speed_sd_mps=0.25, yaw_rate_sd_radps=0.1)
     message = to.odometry_to_msg(motion, STAMP)

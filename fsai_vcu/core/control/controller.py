@@ -29,6 +29,7 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import InspectionState, advance_inspection, inspection_of
 from fsai_vcu.core.vehicle.forces import brake_for, most_mps2, throttle_for, traction_mps2
 from fsai_vcu.core.vehicle.odometry import CARRIED_NS, MotionHistory, motion_at
+from fsai_vcu.core.vehicle.odometry import SETTINGS as ODOMETRY
 from fsai_vcu.core.vehicle.parameters import (
     SLIP_LEAST_RADPMPS2,
     SLIP_MOST_RADPMPS2,
@@ -282,7 +283,8 @@ class Controller:
             )
         angle_rad = slip_of(plan) * settings.race_lateral_mps2 if plan.slip_radpmps2 > 0.0 else 0.0
         sure = plan.mapped and plan.confidence >= settings.confidence_sure
-        pace = self._pace.after(Signs(motion.distance_m, left, self._axle_slip, angle_rad, sure))
+        turn_sensed = 0.0 < motion.yaw_rate_sd_radps <= ODOMETRY.yaw_rate_sd_radps
+        pace = self._pace.after(Signs(motion.distance_m, left, self._axle_slip, angle_rad, sure, turn_sensed))
         if pace.gain < self._pace.gain - TAKEN_BACK:
             self._planned = None  # the next cycle's profile is of the new pace
         self._pace = pace

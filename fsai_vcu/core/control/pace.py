@@ -4,7 +4,8 @@ Tyres near their grip slip more for the same force, and so do tyres with less gr
 slip angle by lateral acceleration in the map; the pace is what makes that angle, in corners, the one aimed at. It grows
 slowly, sinks fast, and is taken back whole, at once, where the car is far beside its path, an axle slips, the cones
 seen hardly confirm the map, or the path does not follow one. A pace at which the car lost its path is not taken again.
-Until the slip is measured, the pace is what the settings ask.
+Until the slip is measured, the pace is what the settings ask. Near its grip the car turns up to a quarter more or less
+than it is steered: where no sensor says how fast it turns, the pace stays further from there.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from fsai_vcu.interface.values import Value
 
 ANGLE_RAD = 0.102  # of the rear axle's slip in a corner: beyond about the double no tyre holds more
 LEAST, MOST = 0.85, 1.27  # of the settings' grip
+BLIND_ANGLE_RAD, BLIND_MOST = 0.084, 1.2  # the same where no sensor says how fast the car turns
 GROWS_1PM, SINKS_1PM = 0.0005, 0.003  # a tenth in 200 m
 STEP = 0.1  # of the settings' grip: so much less than when the path was lost
 LOST_M = 0.45  # beside the path
@@ -29,6 +31,7 @@ class Signs(Value, frozen=True):
     axle_slip: float  # see `axle_slip`
     angle_rad: float  # of the rear axle's slip, at the lateral acceleration that the settings ask for; 0: not measured
     sure: bool  # the path follows the map, and the cones seen confirm it
+    turn_sensed: bool  # a sensor says how fast the car turns
 
 
 class Pace(Value, frozen=True):
@@ -46,7 +49,8 @@ class Pace(Value, frozen=True):
             most = max(1.0, self.gain - STEP) if self.gain > 1.0 else self.most
             return replace(self.taken_back(shown.distance_m), most=most)
         way_m = max(shown.distance_m - self.distance_m, 0.0)
-        wanted = min(max(ANGLE_RAD / shown.angle_rad, LEAST), self.most) if shown.angle_rad > 0.0 else 1.0
+        angle_rad, most = (ANGLE_RAD, MOST) if shown.turn_sensed else (BLIND_ANGLE_RAD, BLIND_MOST)
+        wanted = min(max(angle_rad / shown.angle_rad, LEAST), most, self.most) if shown.angle_rad > 0.0 else 1.0
         gain = min(max(wanted, self.gain - SINKS_1PM * way_m), self.gain + GROWS_1PM * way_m)
         return Pace(gain, self.most, shown.distance_m)
 

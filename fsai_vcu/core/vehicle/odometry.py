@@ -32,13 +32,6 @@ class OdometrySettings(Value, frozen=True):
     resting_ns: int = 500_000_000  # … so without one wheel pulse for this long the car stands
     braking_pct: float = 1.0  # pressure from which on a wheel may turn slower than the road
     yaw_rate_disagreement_radps: float = 0.15  # five times what a sound sensor differs from steering and wheels
-    yaw_rate_resolution_radps: float = 0.02  # of an axle's wheels: 1 rpm more on one of them
-    # Two tyres of an axle that differ say that the car turns: by how much is learnt where they slip little.
-    learns_above_mps: float = 2.0
-    learns_below_mps2: float = 4.0  # sideways
-    learnt_m: float = 50.0  # of such way, from when on the wheels are believed
-    learnt_over_m: float = 200.0  # the mean is of so much way at most
-    wheels_off_max_1pm: float = 0.03  # of tyres that differ by 4 %
     bias_gain: float = 0.02  # of the yaw-rate sensor's bias, per reading at rest
     bias_max_radps: float = 0.05
 
@@ -65,8 +58,6 @@ class OdometryState(Value, frozen=True):
     yaw_rate_bias_radps: float = 0.0
     bias_t_rx_ns: int = -1  # the sensor's reading that the bias was last learnt from
     curvature_1pm: float = 0.0  # of the last steering angle believed
-    wheels_off_1pm: tuple[float, float] = (0.0, 0.0)  # curvature that front and rear wheels say beyond the car's own …
-    learnt_m: float = 0.0  # … as learnt on so much way
 
 
 def standing_start(now_ns: int) -> OdometryState:
@@ -75,13 +66,9 @@ def standing_start(now_ns: int) -> OdometryState:
 
 
 def begin_run(state: OdometryState, now_ns: int) -> OdometryState:
-    """The car's pose is the origin from now on. What was learnt of the sensor and the tyres stays."""
+    """The car's pose is the origin from now on. What was learnt of the sensor stays."""
     return replace(
-        standing_start(now_ns),
-        yaw_rate_bias_radps=state.yaw_rate_bias_radps,
-        bias_t_rx_ns=state.bias_t_rx_ns,
-        wheels_off_1pm=state.wheels_off_1pm,
-        learnt_m=state.learnt_m,
+        standing_start(now_ns), yaw_rate_bias_radps=state.yaw_rate_bias_radps, bias_t_rx_ns=state.bias_t_rx_ns
     )
 
 
@@ -137,22 +124,6 @@ def _yaw_rates_by_wheels(car: VehicleParameters, speeds: WheelSpeeds, curvature_
     return (fr - fl) / car.track_m * along, (rr - rl) / car.track_m
 
 
-def _tyres_learnt(
-    state: OdometryState, by_wheels: tuple[float, float], speed_mps: float, yaw_rate_radps: float, way_m: float
-) -> tuple[tuple[float, float], float]:
-    """`wheels_off_1pm` and `learnt_m` after `way_m` more, on which the car turned so and its wheels said so."""
-    gentle = abs(speed_mps * yaw_rate_radps) <= SETTINGS.learns_below_mps2
-    if speed_mps < SETTINGS.learns_above_mps or not gentle or way_m == 0.0:
-        return state.wheels_off_1pm, state.learnt_m
-    learnt_m = min(state.learnt_m + way_m, SETTINGS.learnt_over_m)
-    share, most = way_m / learnt_m, SETTINGS.wheels_off_max_1pm
-    front, rear = (
-        min(max(off + share * ((rate - yaw_rate_radps) / speed_mps - off), -most), most)
-        for rate, off in zip(by_wheels, state.wheels_off_1pm, strict=True)
-    )
-    return (front, rear), learnt_m
-
-
 def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState, gps: GpsImu) -> OdometryState:
     """The state when the newest wheel speeds were received. Without newer ones nothing changes."""
     before, speeds = state.motion, vehicle.speeds
@@ -192,24 +163,15 @@ def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState,
         bias += SETTINGS.bias_gain * (sensed[0] - bias)
         bias = max(-SETTINGS.bias_max_radps, min(SETTINGS.bias_max_radps, bias))
     yaw_rate, yaw_rate_sd = kinematic, speed * SETTINGS.curvature_sd_1pm
-    way = 0.5 * (speed + before.speed_mps) * dt_s
-    wheels_off, learnt_m = state.wheels_off_1pm, state.learnt_m
-    if speed > 0.0:
+    if speed > 0.0 and sensed is not None:
         # A sliding car turns otherwise than it is steered, and a spinning wheel otherwise than the car: what lies
-        # between them, or near, can be. A sensor that drifts is found out before the car has lost its way. Without a
-        # sensor the steering is believed, but where both axles' wheels turn more than it says, or both less.
-        by_wheels = _yaw_rates_by_wheels(car, speeds, curvature)
-        front, rear = (rate - speed * off for rate, off in zip(by_wheels, wheels_off, strict=True))
-        least, most, margin = min(front, rear), max(front, rear), SETTINGS.yaw_rate_disagreement_radps
-        by_sensor = math.nan if sensed is None else sensed[0] - bias
-        believed = min(kinematic, least) - margin <= by_sensor <= max(kinematic, most) + margin
-        if believed:
-            yaw_rate, yaw_rate_sd = by_sensor, SETTINGS.yaw_rate_sd_radps
-        wheels_off, learnt_m = _tyres_learnt(state, by_wheels, speed, yaw_rate, way)
-        if not believed and learnt_m >= SETTINGS.learnt_m:
-            resolution = SETTINGS.yaw_rate_resolution_radps
-            yaw_rate = min(max(kinematic, least - resolution), most + resolution)
+        # between them, or near, can be. A sensor that drifts is found out before the car has lost its way.
+        others = (kinematic, *_yaw_rates_by_wheels(car, speeds, curvature))
+        margin = SETTINGS.yaw_rate_disagreement_radps
+        if min(others) - margin <= sensed[0] - bias <= max(others) + margin:
+            yaw_rate, yaw_rate_sd = sensed[0] - bias, SETTINGS.yaw_rate_sd_radps
 
+    way = 0.5 * (speed + before.speed_mps) * dt_s
     middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
     faster = max(speed, before.speed_mps)
     missing_s = max(0, step_ns - SETTINGS.fresh_ns) / S if faster > 0.0 else 0.0
@@ -238,8 +200,6 @@ def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState,
         yaw_rate_bias_radps=bias,
         bias_t_rx_ns=bias_t_rx_ns,
         curvature_1pm=curvature,
-        wheels_off_1pm=wheels_off,
-        learnt_m=learnt_m,
     )
 
 

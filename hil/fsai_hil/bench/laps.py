@@ -2,7 +2,7 @@
 
 The bound is what a car with the simulated one's forces takes in quasi-steady state, on the quickest line it can find:
 grip, motors, brakes and the drag of sliding tyres; no margins, no delays, and borders that only the sides of the car's
-middle keep to. Lap one begins at rest before the line, best laps at speed.
+middle keep to. Lap one begins at rest before the line, best laps at speed. The car has its yaw-rate sensor.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def run(args: argparse.Namespace) -> str:
             raise TrackError(problem)
         standing_s, flying_s = bounds_s(name, "2026", mission)
         for seed in range(args.seeds):
-            setup = WorldSetup(missions=[mission], track=track, seed=seed, laps=args.laps, gps=False)
+            setup = WorldSetup(missions=[mission], track=track, seed=seed, laps=args.laps)
             result = Lockstep(setup).run()
             verdict, drive = result.verdict, f"{args.mission} {name} {seed}"
             first_s, *others_s = verdict.lap_times_s or (math.nan,)

@@ -172,7 +172,14 @@ def run_from_msg(message: RunState) -> Run:
 
 def motion_from_state(message: VehicleStateMsg, t_ns: int) -> Motion:
     return Motion(
-        t_ns, message.x, message.y, message.yaw_rad, message.speed_mps, message.yaw_rate_radps, message.distance_m
+        t_ns,
+        message.x,
+        message.y,
+        message.yaw_rad,
+        message.speed_mps,
+        message.yaw_rate_radps,
+        message.distance_m,
+        yaw_rate_sd_radps=message.yaw_rate_sd_radps,
     )
 
 
@@ -258,7 +265,7 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     motion = report.motion
     message.x, message.y, message.yaw_rad = float(motion.x_m), float(motion.y_m), float(motion.yaw_rad)
     message.speed_mps, message.yaw_rate_radps = float(motion.speed_mps), float(motion.yaw_rate_radps)
-    message.distance_m = float(motion.distance_m)
+    message.yaw_rate_sd_radps, message.distance_m = float(motion.yaw_rate_sd_radps), float(motion.distance_m)
 
     sent = report.command
     message.sent_mission_status, message.sent_direction = int(sent.mission_status), int(sent.direction)

@@ -151,6 +151,7 @@ DECLARED: Mapping[str, Parts] = MappingProxyType(
             yaw_rad=_TURNS_RAD,
             speed_mps=_SPEED_MPS,
             yaw_rate_radps=Number(-1e3, 1e3),
+            yaw_rate_sd_radps=Number(0.0, 1e3),
             distance_m=_LENGTH_M,
             status_age_s=UNREAD,
             steer_age_s=UNREAD,
