@@ -43,7 +43,7 @@ def test_the_pace_becomes_what_makes_the_slip_aimed_at(share: float, gain: float
     assert raced(1000, share).gain == pytest.approx(gain)
 
 
-def test_a_car_that_does_not_sense_how_it_turns_is_asked_for_less() -> None:
+def test_without_a_sensed_yaw_rate_the_car_is_asked_for_less() -> None:
     blind, sensed, slip_rad = Pace(), Pace(), 0.09
     for metre in range(1000):
         seen = replace(WELL, distance_m=float(metre), angle_rad=slip_rad)
