@@ -168,7 +168,8 @@ def run(args: argparse.Namespace) -> str:
             first_s, *others_s = verdict.lap_times_s or (math.nan,)
             best_s = min(others_s, default=math.nan)
             figures = (first_s, standing_s, first_s / standing_s, best_s, flying_s, best_s / flying_s)
-            lines.append((drive, *(f"{each:.3f}" for each in figures), f"{verdict.cones_hit}", f"{verdict.off_course}"))
+            shown = ("-" if math.isnan(each) else f"{each:.3f}" for each in figures)
+            lines.append((drive, *shown, f"{verdict.cones_hit}", f"{verdict.off_course}"))
             failed += [drive] * (not result.passed)
             print(f"{drive}: {', '.join(f'{lap_s:.2f}' for lap_s in verdict.lap_times_s)} s", flush=True)
     figures = table(HEADS, lines)
@@ -176,7 +177,7 @@ def run(args: argparse.Namespace) -> str:
     problem = f"not passed: {', '.join(failed)}" if failed else ""
     if args.out:
         how = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
-        laps = f", {args.laps} laps" * (mission is Ami.TRACKDRIVE)
+        laps = f", {args.laps} lap{'s' * (args.laps > 1)}" * (mission is Ami.TRACKDRIVE)
         parts = ("# Laps", "Made by `make missions`; do not edit.", how, f"The drives: {args.mission}{laps}.", figures)
         args.out.write_text("\n\n".join((*parts, *[f"**{problem}**"] * bool(problem))) + "\n", encoding="utf-8")
     return problem
