@@ -44,7 +44,7 @@ def test_the_pace_becomes_what_makes_the_slip_aimed_at(share: float, gain: float
 
 
 def test_without_a_sensed_yaw_rate_the_car_is_asked_for_less() -> None:
-    blind, sensed, slip_rad = Pace(), Pace(), 0.09
+    blind, sensed, slip_rad = Pace(), Pace(), 0.085
     for metre in range(1000):
         seen = replace(WELL, distance_m=float(metre), angle_rad=slip_rad)
         sensed, blind = sensed.after(seen), blind.after(replace(seen, turn_sensed=False))

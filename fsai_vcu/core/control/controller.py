@@ -58,6 +58,7 @@ STEERED_KEPT = 50  # commands: half a second at 100 Hz
 LONGEST_STEP_S = 0.1  # between two commands; a longer one counts as this
 TAKEN_BACK = 0.02  # of the pace at once: trouble, and no slow change
 BEYOND_GRIP_MPS2 = 1.2  # braked with where the path asks for all the grip that there is, or more
+GRIP_MPS2 = 7.5  # sideways, believed of the tyres on a path that follows no map
 LEFT_FOR_SURPRISES = 1.05  # times the grip planned with: what throttle and brake share with the corner as it is driven
 LEAST_BRAKE = 0.005  # the request's resolution: the brake makes its own least of it
 
@@ -421,7 +422,8 @@ class Controller:
         # than the tyres have left in the corner.
         curvature = abs(float(np.interp(here_m, line.along_m, line.curvature_1pm)))
         lateral = speed * max(speed * curvature, abs(motion.yaw_rate_radps))
-        grip = LEFT_FOR_SURPRISES * self._grip_mps2(mapped=True, known=True)[0]
+        mapped = self._planned is not None and self._planned.mapped
+        grip = LEFT_FOR_SURPRISES * (self._grip_mps2(mapped, known=True)[0] if mapped else GRIP_MPS2)
         most_braking = settings.sight_braking_max_mps2 if self._sight_end_m < math.inf else settings.braking_max_mps2
         hardest = max(most_braking * braking_share(lateral / grip), BEYOND_GRIP_MPS2)
         left = traction_mps2(self._car, grip, speed * motion.yaw_rate_radps)

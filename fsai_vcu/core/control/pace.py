@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from fsai_vcu.interface.values import Value
 
 ANGLE_RAD = 0.102  # of the rear axle's slip in a corner: beyond about the double no tyre holds more
-LEAST, MOST = 0.85, 1.27  # of the settings' grip
-BLIND_ANGLE_RAD, BLIND_MOST = 0.08, 1.15  # the same where no sensor says how fast the car turns
+LEAST, MOST = 0.9, 1.36  # of the settings' grip
+BLIND_ANGLE_RAD, BLIND_MOST = 0.08, 1.23  # the same where no sensor says how fast the car turns
 GROWS_1PM, SINKS_1PM = 0.0005, 0.003  # a tenth in 200 m
 STEP = 0.1  # of the settings' grip: so much less than when the path was lost
 LOST_M = 0.45  # beside the path
