@@ -737,9 +737,9 @@ def test_a_car_that_turns_at_its_grip_is_left_the_grip(speed_mps: float, pedal: 
 def raced_speed(slip_radpmps2: float, mapped: bool = True, yaw_rate_sd_radps: float = 0.03) -> float:
     """The speed at which throttle ends in a corner of 10 m, after 600 m with tyres that slip so."""
     controller, plan = reset_for(RUN), plan_of(arc(10.0, 50.0), mapped=mapped, slip_radpmps2=slip_radpmps2)
-    for step in range(600):
-        now = step * 100 * MS
-        motion = Motion(t_ns=now, speed_mps=8.0, distance_m=float(step), yaw_rate_sd_radps=yaw_rate_sd_radps)
+    for step in range(200):
+        now = step * 300 * MS
+        motion = Motion(t_ns=now, speed_mps=8.0, distance_m=3.0 * step, yaw_rate_sd_radps=yaw_rate_sd_radps)
         ask(replace(plan, t_sensor_ns=now), controller=controller, now_ns=now, motion=motion)
     assert controller._profile is not None
     return math.sqrt(float(controller._profile[20]))
@@ -750,8 +750,8 @@ def test_tyres_that_slip_less_are_asked_for_more() -> None:
     assert raced_speed(0.7 * aimed_at) > 1.05 * raced_speed(aimed_at) > 1.08 * raced_speed(1.25 * aimed_at)
     assert raced_speed(0.0) == pytest.approx(raced_speed(aimed_at), rel=0.01), "no more where it is not measured"
     assert raced_speed(0.008, mapped=False) == raced_speed(0.014, mapped=False), "nor off the map"
-    sensed, *blind = (raced_speed(0.7 * aimed_at, yaw_rate_sd_radps=sd) for sd in (0.03, 0.031, 0.0))
-    assert 1.02 * max(blind) < sensed, "and less where no sensor says how fast the car turns"
+    blind = [raced_speed(0.7 * aimed_at, yaw_rate_sd_radps=sd) for sd in (0.031, 0.0)]
+    assert 1.02 * max(blind) < raced_speed(0.7 * aimed_at), "and less where no sensor says how fast the car turns"
 
 
 @pytest.mark.parametrize(
