@@ -4,7 +4,7 @@ Tyres near their grip slip more for the same force, and so do tyres with less gr
 slip angle by lateral acceleration in the map; the pace is what makes that angle, in corners, the one aimed at. It grows
 slowly, sinks fast, and is taken back whole, at once, where the car is far beside its path, an axle slips, the cones
 seen hardly confirm the map, or the path does not follow one. A pace at which the car lost its path is not taken again.
-Until the slip is measured, the pace is what the settings ask. Near its grip the car turns up to a quarter more or less
+Until the slip is measured, the pace is what the settings ask. Near its grip a car that brakes turns up to a third more
 than it is steered: where no sensor says how fast it turns, the pace stays further from there.
 """
 
