@@ -118,9 +118,9 @@ def test_both_take_turns_and_the_first_round_does_not_count() -> None:
 
 def test_a_time_is_that_of_one_unit_of_what_was_done() -> None:
     clock = iter([1.0, 7.0, 10.0, 16.0])
-    driven_s = timed(lambda: 3.0, 1.0, timer=lambda: next(clock))
+    mission_s = timed(lambda: None, 1.0, timer=lambda: next(clock))
     frame_us = timed(lambda: None, 1e6, turns=2, of=6, timer=lambda: next(clock))
-    assert (driven_s(), frame_us()) == (2.0, 0.5e6)
+    assert (mission_s(), frame_us()) == (6.0, 0.5e6)
 
 
 def test_a_row_that_is_no_longer_measured_fails(

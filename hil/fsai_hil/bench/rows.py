@@ -19,19 +19,19 @@ def timed(
     scale: float,
     *,
     turns: int = 1,
-    of: float | None = None,
+    of: float = 1.0,
     timer: Callable[[], float] = time.process_time,
 ) -> Took:
     """Return a measurement: `scale` times the seconds of one unit of `work`, which is called so many times.
 
-    of: how many units (frames, cycles) one call does; None: each call returns it.
+    of: how many units (frames, cycles) one call does.
     """
 
     def took() -> float:
         began_s = timer()
         for _ in range(turns):
-            done = work()
-        return scale * (timer() - began_s) / (turns * (done if of is None else of))
+            work()
+        return scale * (timer() - began_s) / (turns * of)
 
     return took
 
