@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
-from fsai_vcu.core.planning.cone_memory import ConeMemory
+from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
 from fsai_vcu.core.planning.course import (
     DOUBTED_M,
     FLOOR,
@@ -25,7 +25,14 @@ from fsai_vcu.core.planning.course import (
     least_radius_of,
     most_aside_m,
 )
-from fsai_vcu.core.planning.lap_strategy import MISTAKEN_MOST, free_of_cones, unmistaken, within_borders
+from fsai_vcu.core.planning.lap_strategy import (
+    MISTAKEN_MOST,
+    free_of_cones,
+    hues,
+    other_lanes,
+    unmistaken,
+    within_borders,
+)
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.planning.pose import to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -270,6 +277,33 @@ def test_a_few_colours_that_the_lane_contradicts_are_mistaken(wrong: tuple[int, 
     side = LEFT_OR_RIGHT.copy()
     side[list(wrong)] *= -1.0
     assert np.flatnonzero(unmistaken(side, 0.3 * LEFT_OR_RIGHT) == 0.0).tolist() == list(left)
+
+
+@pytest.mark.parametrize(
+    ("beyond_m", "color", "chosen"),
+    [
+        (3.2, ConeColor.BLUE, [2, 3]),
+        (3.2, ConeColor.YELLOW, []),  # another lane's border of the same colour
+        (3.2, ConeColor.UNKNOWN, []),
+        (2.0, ConeColor.BLUE, []),  # no lane is so narrow,
+        (5.0, ConeColor.BLUE, []),  # nor so wide
+        (-3.2, ConeColor.BLUE, []),  # on the path's other side: the border that this lane has there
+    ],
+)
+def test_a_colour_is_no_mistake_where_its_own_lane_has_a_border(
+    beyond_m: float, color: ConeColor, chosen: list[int]
+) -> None:
+    """Two cones of the left border are yellow, as those of the right one; beside them stand two more."""
+    xy = np.vstack((BORDERS, BORDERS[2:4] + np.array((0.0, beyond_m))))
+    hue = np.where(LEFT_OR_RIGHT > 0.0, int(ConeColor.BLUE), int(ConeColor.YELLOW))
+    hue[2:4] = int(ConeColor.YELLOW)
+    cones = Cones(xy, np.append(hue, 2 * [int(color)]), np.zeros(10), np.arange(10))
+    stands = np.append(LEFT_OR_RIGHT, (0.0, 0.0))
+    selected = other_lanes(cones, stands, SURE.path_m)
+    assert np.flatnonzero(selected).tolist() == chosen
+    assert not other_lanes(cones, -stands, SURE.path_m)[2:4].any()  # where the lane has them as their colour says
+    said = (0.2, "the way crosses the right border") if chosen else (1.0, "")
+    assert within_borders(SURE, xy, np.where(selected, hues(cones), np.append(LEFT_OR_RIGHT, (0.0, 0.0)))) == said
 
 
 def test_a_lane_that_many_colours_contradict_crosses_a_border() -> None:
