@@ -19,8 +19,8 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion, Plan
 from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
-from fsai_vcu.core.planning.pose import lengths_along, ring_curvature
-from fsai_vcu.core.planning.race_line import MARGIN_M, LineSearch, RaceLine
+from fsai_vcu.core.planning.pose import lengths_along, ring_curvature, to_odometry
+from fsai_vcu.core.planning.race_line import CONE_RADIUS_M, MARGIN_M, LineSearch, RaceLine
 from fsai_vcu.core.planning.racing import BEYOND_M, NOT_ON_LINE, joining, way_onto
 
 OVAL, WINDING = small_oval(), random_circuit(1)
@@ -183,6 +183,21 @@ def test_a_moved_cone_is_avoided_and_raced_around() -> None:
         if math.hypot(*(cone - (ride.pose.x_m, ride.pose.y_m))) < 8.0:
             beside.append((plan.laps, plan.mapped))
     assert len(beside) > 20 and {mapped for laps, mapped in beside if laps == 2} == {True}
+
+
+@pytest.mark.parametrize(("gap_m", "raced"), [(0.12, False), (0.22, True)])
+def test_a_cone_seen_close_beside_the_body_ends_the_race(gap_m: float, raced: bool) -> None:
+    """Seen 2 m ahead, it must be left 16 cm."""
+    ride, _ = mapped()
+    plan = ride.step()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+    (x, y), (next_x, next_y) = plan.path_m[4:6]
+    away_m = 0.5 * CAR.width_m + CONE_RADIUS_M + gap_m
+    heading = math.atan2(next_y - y, next_x - x)
+    beside = np.array([[x - away_m * math.sin(heading), y + away_m * math.cos(heading)]])
+    assert plan.mapped and racing._line.news(to_odometry(racing._map.here, beside)).all()
+    assert bool(len(racing.path(beside, racing._map.here))) == raced
 
 
 def test_a_cone_seen_on_the_line_outranks_the_map() -> None:
