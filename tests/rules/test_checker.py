@@ -163,16 +163,17 @@ class Sender(SmallCar):
 class Fed(Sender):
     """The same, whose checker is given what the process is given: a planner's command in each cycle, modes, resets."""
 
-    def __init__(self, **process: Any) -> None:
-        super().__init__(process=Process(**process))
+    def __init__(self, motor_brakes: bool = False, **process: Any) -> None:
+        super().__init__(process=Process(**process), motor_brakes=motor_brakes)
         self.command: VehicleCommand | None = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
         self.mode = "manual"
-        self.odd_ns: int | None = None  # since when it takes a wheel for implausible
+        self.odd_ns: dict[str, int] = {}  # since when it takes what for implausible
         self.data_ms = 0  # the age of what is behind each command
-        for role in ("planner", "controller"):
-            self.cycle(IDLE, 20, frames=0)
-            self.checker.on_confirmed(role)
-        self.asks("autonomous")
+        self.cycle(IDLE, 40, frames=0).confirms().asks("autonomous")
+
+    def confirms(self) -> Any:
+        """Planner and controller have reset themselves."""
+        return self.happens("on_confirmed", "planner").happens("on_confirmed", "controller")
 
     def asks(self, mode: str, done: bool = True) -> Any:
         self.checker.on_mode(mode, (done, "autonomous or manual"), self.now_ns)
@@ -187,7 +188,7 @@ class Fed(Sender):
     def says(self, command: AiCommand, frames: int = 5) -> None:
         if self.command is not None:
             self.plans(age_ms=self.data_ms)
-        self.checker.on_cycle(self.now_ns, self.mode, None, self.odd_ns)
+        self.checker.on_cycle(self.now_ns, self.mode, self.odd_ns.get("steering"), self.odd_ns.get("a wheel"))
         if frames:
             self.checker.on_sending()
         super().says(command, frames)
@@ -211,9 +212,9 @@ class Fed(Sender):
         self.driving().cycle(drive(), 3).command = replace(self.command, **fields)
         return self
 
-    def odd(self) -> Any:
-        """From the next cycle on the process takes a wheel for implausible."""
-        return self.has(odd_ns=self.now_ns + 10 * MS)
+    def odd(self, what: str) -> Any:
+        """From the next cycle on the process takes it for implausible."""
+        return self.has(odd_ns={what: self.now_ns + 10 * MS})
 
     def contradicted(self, cycles: int) -> Any:
         """Pulse counts run at 4 turns/s, and 0x525 says 0 rpm: not believed after some 200 ms, missing 100 ms later."""
@@ -247,13 +248,16 @@ new, fed, exact = made(Sender), made(Fed), made(Fed, nothing_hidden=True)
 driving, idle, drives = new.driving(), new.cycle(IDLE), then.driving().cycle(drive())
 rolling = driving.has(rpm=100).cycle(RUNNING, 2)
 moving = fed.driving()
-ends = moving.happens("on_end")
+ends = exact.driving().happens("on_end")
 stops = moving.asks("manual").cycle(RUNNING)
+ends_at_rest = moving.has(rpm=0).cycle(drive(), 52).happens("on_end")
+motors = made(Fed, motor_brakes=True, nothing_hidden=True).cycle(SELECTED, 3).state(READY).cycle(SELECTED, 495)
 venue = made(Sender, limits=OperationalLimits(max_speed_mps=2.0, max_axle_torque_nm=40.0, max_steer_deg=0.3)).driving()
 
 NEUTRAL = replace(RUNNING, direction=Direction.NEUTRAL)
 ESTOP = replace(IDLE, estop_request=True)
 STOPPING, BRAKING, PLANNED = braked(RUNNING, 80.0), braked(ASKING, 80.0), braked(RUNNING, 40.0)
+BRAKE_FRAME = CODEC.encode_command(STOPPING)[4]
 
 # Steering that nobody asked for, and a wheel faster than the other three: the planner brakes, so no torque spins it.
 BRAKES = made(Fed, follows=True).wants(throttle=0.0, brake=0.4).cycle(RUNNING).cycle(PLANNED, 110)
@@ -300,6 +304,9 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         new.state(READY),
         then.cycle(IDLE).cycle(braked(SELECTED)),
         then.cycle(IDLE, frames=4).cycle(braked(SELECTED)),
+    ),
+    Case("1", "torque in a log that begins with a brake").of(
+        made(Sender, from_start=False).state(DRIVING).frame(BRAKE_FRAME), then.cycle(RUNNING).cycle(drive()), drive()
     ),
     Case("1", "brake after torque").of(driving.cycle(drive()), then.cycle(RUNNING).cycle(STOPPING), STOPPING),
     Case("1", "brake after the torque of a process that died").of(
@@ -399,8 +406,11 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         fed.wants(speed_limit_mps=1.0), drive(50.0, 0.0, 130), drive(50.0, 0.0, 140)
     ),
     Case("5", "SELECTED by who is autonomous").of(Fed, SELECTED, then.asks("manual").cycle(SELECTED)),
-    Case("5", "SELECTED for a mission").of(Fed, SELECTED, then.car(ami=Ami.NOT_SELECTED).cycle(SELECTED)),
+    Case("5", "SELECTED for a mission").of(fed.car(ami=Ami.NOT_SELECTED).cycle(IDLE).confirms(), IDLE, SELECTED),
     Case("5", "SELECTED after both resets").of(Fed, SELECTED, then.car(ami=Ami.SKIDPAD).cycle(SELECTED)),
+    Case("5", "SELECTED with no emergency").of(
+        fed.happens("on_emergency", True), ESTOP, replace(SELECTED, estop_request=True)
+    ),
     Case("6", "a granted emergency is asked for").of(fed.cycle(SELECTED).happens("on_emergency", True), ESTOP, IDLE),
     Case("6", "a reset in AS_OFF").of(
         fed.cycle(SELECTED).happens("on_emergency", True),
@@ -449,6 +459,7 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("reactions", "ESTOP_REQUEST at the end of a car that moves").of(
         ends, then.cycle(ASKING).cycle(BRAKING), RUNNING
     ),
+    Case("reactions", "NEUTRAL or ESTOP_REQUEST at the end of a car at rest").of(ends_at_rest, FINISHED, RUNNING),
     Case("reactions", "ESTOP_REQUEST for a stop without effect").of(
         stops, then.cycle(STOPPING, 300), then.cycle(STOPPING, 311)
     ),
@@ -465,6 +476,10 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("output table", "a holding brake in the first 3 s").of(
         fed.ready().state(DRIVING), then.cycle(braked(RUNNING), 2), then.cycle(RUNNING, 2)
     ),
+    Case("output table", "no steering at the end of a car at rest").of(
+        ends_at_rest, FINISHED, replace(FINISHED, steer_deg=0.1)
+    ),
+    Case("output table", "no brake at the end of a car at rest").of(ends_at_rest, FINISHED, braked(FINISHED)),
     Case("output table", "the service brake in a stop").of(stops, STOPPING, braked(RUNNING, 30.0)),
     Case("output table", "the brake is not let go without a command").of(
         fed.wants(brake=0.4, throttle=0.0).cycle(RUNNING).cycle(PLANNED).has(command=None).cycle(PLANNED, 11),
@@ -477,7 +492,13 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         braked(FINISHED),
         STOPPING,
     ),
+    Case("output table", "FORWARD in an emergency").of(
+        exact.driving().happens("on_emergency", True), ASKING, replace(ASKING, direction=Direction.NEUTRAL)
+    ),
     Case("output table", "RUNNING where none is").of(exact, drives, then.stood().cycle(FINISHED)),
+    Case("output table", "motors brake in a stop").of(
+        motors.launches().has(rpm=100).cycle(drive(), 3).asks("manual"), drive(rpm=0), RUNNING
+    ),
     Case("output table", "the command steers").of(exact.wants(steering_rad=0.1), drive(50.0, 0.4), drive()),
     Case("output table", "the command brakes").of(
         exact.wants(brake=0.4, throttle=0.0).cycle(RUNNING), PLANNED, braked(RUNNING, 30.0)
@@ -485,8 +506,26 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("reactions", "ESTOP_REQUEST for a reason").of(
         exact, then.wants(estop_request=True).cycle(ASKING), then.driving().cycle(ASKING)
     ),
-    Case("reactions", "ESTOP_REQUEST for what is implausible").of(
-        exact.driving().odd().cycle(drive(), 30).cycle(RUNNING).cycle(STOPPING, 29), BRAKING, STOPPING
+    *(
+        Case("reactions", f"ESTOP_REQUEST for {what} that is implausible").of(
+            exact.driving().odd(what).cycle(drive(), 30).cycle(RUNNING).cycle(STOPPING, 29), BRAKING, STOPPING
+        )
+        for what in ODD
+    ),
+    Case("reactions", "a stop for Go that is off").of(moving.car(go_signal=False), RUNNING, drive()),
+    Case("reactions", "a stop for less than 5 s in AS_READY").of(
+        fed.ready(490).state(DRIVING).cycle(braked(RUNNING)), braked(RUNNING), drive()
+    ),
+    Case("reactions", "a stop for a mission that was not acknowledged").of(
+        fed.cycle(IDLE).state(READY).cycle(braked(IDLE), 495).state(DRIVING).cycle(braked(RUNNING)),
+        braked(RUNNING),
+        drive(),
+    ),
+    Case("reactions", "a stop for a process that ends").of(
+        ends_at_rest, FINISHED, replace(drive(), estop_request=True)
+    ),
+    Case("reactions", "a stop for 50 ms without a whole cycle").of(
+        moving.cycle(drive(), 4, frames=4), drive(), then.cycle(drive(), frames=4).cycle(drive())
     ),
     Case("reactions", "a stop for speeds that the counts contradict").of(
         Fed, then.contradicted(15), then.contradicted(40)
@@ -508,6 +547,17 @@ CASES: list[tuple[str, str, Make, End, End]] = [
             drive(most_nm + 0.1),
         )
         for rpm, most_nm in ((301, 150.0), (401, 120.0), (501, 100.0), (600, 100.0))
+    ),
+    *(
+        Case(rule, f"a process sends {what}").of(
+            Fed, then.happens("well_formed", BRAKE_FRAME), then.happens("well_formed", Frame(can_id, data))
+        )
+        for rule, what, can_id, data in (
+            ("7", "values within their range", 0x511, b"\xd0\x07\x00\x00"),
+            ("7", "bits of signals only", 0x510, b"\x02" + bytes(7)),
+            ("8", "its five identifiers", 0x520, bytes(8)),
+            ("8", "frames of their length", 0x514, bytes(3)),
+        )
     ),
     *(
         Case("5", f"NEUTRAL in {state.label}").of(at(state), SELECTED, replace(SELECTED, direction=Direction.FORWARD))
@@ -564,6 +614,13 @@ CASES: list[tuple[str, str, Make, End, End]] = [
 def test_the_rule_is_kept_and_broken(rule: str, what: str, start: Make, keeps: End, breaks: End) -> None:
     assert ended_by(start, keeps).checker.violations == []
     assert rule in ended_by(start, breaks).rules
+
+
+@pytest.mark.parametrize(("asked", "frame"), [(braked(RUNNING), 2), (drive(), 4)], ids=["brake", "torque"])
+def test_what_a_dead_process_asked_for_stays_at_the_vcu(asked: AiCommand, frame: int) -> None:
+    """The next process meets its brake with torque (0x512), and its torque with a brake (0x514)."""
+    sender = driving.cycle(asked, 3).happens("restarted").frame(CODEC.encode_command(braked(drive()))[frame])()
+    assert "torque 50.0 Nm and brake 30.0 % together" in [violation.words for _, violation in sender.checker.found]
 
 
 @pytest.mark.parametrize(
@@ -662,6 +719,7 @@ def test_response_times_run_from_each_toggle_to_its_echo() -> None:
     assert len(times) == 150
     assert times.quantile_ms(0.5) in (pytest.approx(1.0), pytest.approx(3.0))
     assert times.quantile_ms(1.0) == pytest.approx(3.0)
+    assert "response time: 150 echoes" in str(sender.checker)
 
 
 def test_a_saved_state_goes_on_as_one_that_was_never_saved() -> None:
@@ -677,6 +735,13 @@ def test_a_saved_state_goes_on_as_one_that_was_never_saved() -> None:
 def test_error_frames_are_counted_and_break_no_rule() -> None:
     report = Sender().frame(Frame(0x040, bytes(8), error=True)).checker
     assert report.ok and report.error_frames == 1
+    assert str(report).endswith("no rule broken")
+
+
+def test_an_identifier_that_repeats_is_named_once_and_counted() -> None:
+    report = Sender().frame(Frame(0x7FF, b"")).frame(Frame(0x7FF, b"")).checker
+    assert (len(report.violations), report.violation_count) == (1, 2)
+    assert str(report).endswith("… and 1 more")
 
 
 def test_a_candump_log_is_checked_like_the_bus(tmp_path: Path) -> None:
