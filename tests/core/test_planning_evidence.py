@@ -28,7 +28,6 @@ from fsai_vcu.core.planning.course import (
 from fsai_vcu.core.planning.lap_strategy import (
     MISTAKEN_MOST,
     free_of_cones,
-    hues,
     other_lanes,
     unmistaken,
     within_borders,
@@ -280,30 +279,50 @@ def test_a_few_colours_that_the_lane_contradicts_are_mistaken(wrong: tuple[int, 
 
 
 @pytest.mark.parametrize(
-    ("beyond_m", "color", "chosen"),
+    ("beyond_m", "color", "stands", "chosen"),
     [
-        (3.2, ConeColor.BLUE, [2, 3]),
-        (3.2, ConeColor.YELLOW, []),  # another lane's border of the same colour
-        (3.2, ConeColor.UNKNOWN, []),
-        (2.0, ConeColor.BLUE, []),  # no lane is so narrow,
-        (5.0, ConeColor.BLUE, []),  # nor so wide
-        (-3.2, ConeColor.BLUE, []),  # on the path's other side: the border that this lane has there
+        ((0.0, 3.2), ConeColor.BLUE, 0.0, [2, 3]),
+        ((0.0, 2.5), ConeColor.BLUE, 0.0, [2, 3]),
+        ((0.0, 4.4), ConeColor.BLUE, 0.0, [2, 3]),
+        ((0.0, 2.3), ConeColor.BLUE, 0.0, []),  # no lane is so narrow,
+        ((0.0, 4.6), ConeColor.BLUE, 0.0, []),  # nor so wide
+        ((1.8, 2.6), ConeColor.BLUE, 0.0, [2, 3]),
+        ((2.6, 1.8), ConeColor.BLUE, 0.0, []),  # rather along the border
+        ((0.0, 3.2), ConeColor.YELLOW, 0.0, []),  # another lane's border of the same colour
+        ((0.0, 3.2), ConeColor.UNKNOWN, 0.0, []),
+        ((0.0, 3.2), ConeColor.BLUE, 0.5, []),  # this lane's border, further on
+        ((0.0, -3.2), ConeColor.BLUE, 0.0, []),  # on the path's other side
     ],
 )
 def test_a_colour_is_no_mistake_where_its_own_lane_has_a_border(
-    beyond_m: float, color: ConeColor, chosen: list[int]
+    beyond_m: tuple[float, float], color: ConeColor, stands: float, chosen: list[int]
 ) -> None:
-    """Two cones of the left border are yellow, as those of the right one; beside them stand two more."""
-    xy = np.vstack((BORDERS, BORDERS[2:4] + np.array((0.0, beyond_m))))
+    """Two cones of the left border are yellow, as those of the right one; beyond them stand two more."""
+    xy = np.vstack((BORDERS, BORDERS[2:4] + np.array(beyond_m)))
     hue = np.where(LEFT_OR_RIGHT > 0.0, int(ConeColor.BLUE), int(ConeColor.YELLOW))
     hue[2:4] = int(ConeColor.YELLOW)
     cones = Cones(xy, np.append(hue, 2 * [int(color)]), np.zeros(10), np.arange(10))
-    stands = np.append(LEFT_OR_RIGHT, (0.0, 0.0))
-    selected = other_lanes(cones, stands, SURE.path_m)
-    assert np.flatnonzero(selected).tolist() == chosen
-    assert not other_lanes(cones, -stands, SURE.path_m)[2:4].any()  # where the lane has them as their colour says
-    said = (0.2, "the way crosses the right border") if chosen else (1.0, "")
-    assert within_borders(SURE, xy, np.where(selected, hues(cones), np.append(LEFT_OR_RIGHT, (0.0, 0.0)))) == said
+    having = np.append(LEFT_OR_RIGHT, 2 * [stands])
+    assert np.flatnonzero(other_lanes(cones, having, SURE.path_m)).tolist() == chosen
+    assert not other_lanes(cones, -having, SURE.path_m)[2:4].any()  # where the lane has them as their colour says
+    assert not other_lanes(cones, having, SURE.path_m[:10])[2:4].any()  # beyond the path's end
+
+
+@pytest.mark.parametrize(("beyond_m", "note"), [(3.2, "the way crosses the right border"), (6.0, "")])
+def test_a_way_into_another_lane_is_doubted_by_two_colours(beyond_m: float, note: str) -> None:
+    """Straight on, the left border goes on with two yellow cones, in line; if that lane turns left there, blue ones
+    stand beyond them."""
+    blue, yellow = int(ConeColor.BLUE), int(ConeColor.YELLOW)
+    along = np.arange(0.0, 20.0, 3.0)
+    left, right = (np.column_stack((along, np.full(7, y))) for y in (1.5, -1.5))
+    xy = np.vstack((left, right, left[3:5] + np.array((0.0, beyond_m))))
+    color = np.array([blue, blue, blue, yellow, yellow, blue, blue, *7 * [yellow], blue, blue])
+    planner = Planner(CARS["2026"])
+    planner.reset(Run(1, Ami.AUTOCROSS, AsState.AS_DRIVING, may_move=True))
+    for look in range(10):
+        here = Motion(look * LOOK_NS, 0.1 * look, 0.0, 0.0, 2.0, 0.0, 0.1 * look)
+        plan = planner.on_cones(ConeObservation(here.t_ns, to_vehicle(here, xy), color, np.ones(len(xy))), here)
+    assert plan is not None and plan.note == note
 
 
 def test_a_lane_that_many_colours_contradict_crosses_a_border() -> None:

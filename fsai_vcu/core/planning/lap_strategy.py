@@ -14,7 +14,7 @@ from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, ga
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import BIG, EXPECTED, SIDES, ConeMemory, Cones
 from fsai_vcu.core.planning.course import CONES_MIN, DOUBTFUL, KEPT_POINTS, Course, braking_m
-from fsai_vcu.core.planning.lane import Known, find_lane
+from fsai_vcu.core.planning.lane import ACROSS_M, Known, find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, gaps, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -34,7 +34,7 @@ CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: betw
 BORDER_APART_M = 5.0  # … at most so far apart
 # A cone that contradicts the lane by so much has a wrong colour, where so few and so small a share of all do.
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
-LANE_WIDTH_M, ACROSS_COS = (2.4, 4.5), 0.7  # of the two cones across a lane; of the angle at which they stand across
+BEYOND_COS = 0.7  # of the angle between the way from a path to a cone and that on to one beyond it
 NEIGHBOURS_MOST = 60  # cones near the path that are looked at: two borders of 30 m have fewer
 MARGIN = (0.7, 1.8)  # as in `Known`, with true colours and cones alone; without, or with false cones in each look
 MARGIN_M = 2.0, 12.0  # beyond the way to stop, within which a fork is a doubt; likewise
@@ -100,8 +100,9 @@ class LapStrategy:
                 course, stands[borders] = self._lane(memory, cones.only(borders), motion, middle)
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
             free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
-            side = np.where(other_lanes(cones, stands, course.path_m), hues(cones), unmistaken(cones.side, stands))
-            within, crossing = within_borders(course, sure_xy_m, side[sure])
+            standing, known = cones.only(sure), unmistaken(cones.side, stands)[sure]
+            side = np.where(other_lanes(standing, stands[sure], course.path_m), hues(standing), known)
+            within, crossing = within_borders(course, sure_xy_m, side)
             notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, crossing, course.note)
             confidence = clear * free * within * course.confidence
             course = replace(course, confidence=confidence, note="; ".join(filter(None, notes)))
@@ -248,9 +249,9 @@ def hues(cones: Cones) -> Floats:
 
 
 def other_lanes(cones: Cones, stands: Floats, path_m: Floats) -> Bools:
-    """Select the cones (N,) whose colour contradicts the lane, but has the other colour across from it, off the path.
+    """Select the cones (N,) whose colour contradicts the lane and that have the other colour beyond them.
 
-    Another lane runs there, or the right one: such a colour is no mistake, however well the cone carries on a row.
+    Where no border of this lane stands there, another one runs, or the right one, and the colour is no mistake.
     stands: as in `unmistaken`; path_m: (M, 2) vehicle frame.
     """
     hue = hues(cones)
@@ -258,13 +259,16 @@ def other_lanes(cones: Cones, stands: Floats, path_m: Floats) -> Bools:
     chosen = np.zeros(len(hue), dtype=bool)
     if len(contrary) and len(path_m):
         places = cones.xy_m[contrary]
-        outward = places - path_m[gaps(places, path_m).argmin(axis=1)]
+        nearest = gaps(places, path_m).argmin(axis=1)
+        outward = places - path_m[nearest]
         to_others = cones.xy_m - places[:, None]
         apart_m = np.hypot(to_others[..., 0], to_others[..., 1])
         away_m = (to_others * outward[:, None]).sum(axis=2)
-        across = away_m > ACROSS_COS * apart_m * np.hypot(outward[:, 0], outward[:, 1])[:, None]
-        lane = across & (apart_m > LANE_WIDTH_M[0]) & (apart_m < LANE_WIDTH_M[1])
-        chosen[contrary] = (lane & (hue * hue[contrary, None] < 0.0)).any(axis=1)
+        beyond = away_m > BEYOND_COS * apart_m * np.hypot(outward[:, 0], outward[:, 1])[:, None]
+        lane = beyond & (apart_m > ACROSS_M[0]) & (apart_m < ACROSS_M[1]) & (hue * hue[contrary, None] < 0.0)
+        # Beside a path's ends, outward is along it.
+        beside = (nearest > 0) & (nearest < len(path_m) - 1)
+        chosen[contrary] = beside & (lane & (stands == 0.0)).any(axis=1)
     return chosen
 
 
