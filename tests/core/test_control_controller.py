@@ -19,7 +19,7 @@ from fsai_vcu.core.control.controller import FEEL_ITS_WAY_MPS, Controller
 from fsai_vcu.core.control.pace import ANGLE_RAD, Pace
 from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.sight import CLEAR_OVER_M, LOOK_S
+from fsai_vcu.core.control.sight import BEYOND_CONES_M, CLEAR, CLEAR_OVER_M, LOOK_S
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -365,20 +365,21 @@ def test_the_shorter_the_path_borne_out_the_slower() -> None:
     assert not brakes(1.0, FEEL_ITS_WAY_MPS) and brakes(1.0, FEEL_ITS_WAY_MPS + 1.0)
 
 
-SEEN_M = 12.5  # of path borne out, as by a sensor that sees 14 m
+SEEN_M = 11.75  # of path borne out, as by a sensor that sees 13 m
 
 
 def stopping_mps(supported_m: float) -> float:
-    """Speed from which the front wheels stop on so much path, with the braking planned with."""
+    """Speed from which the front wheels stop so little beyond so much path, with the braking planned with."""
     braking = SETTINGS.sight_braking_mps2
+    sight_m = supported_m - CAR.wheelbase_m + BEYOND_CONES_M
     late_mps = braking * (SETTINGS.reaction_s + LOOK_S)
-    return math.sqrt(late_mps**2 + 2.0 * braking * (supported_m - CAR.wheelbase_m)) - late_mps
+    return math.sqrt(late_mps**2 + 2.0 * braking * sight_m) - late_mps
 
 
 def test_a_path_well_borne_out_is_driven_by_sight() -> None:
     """First with care, then as fast as the car stops on it."""
     drive = Drive(path_of((80.0, 0.0)), SETTINGS, 0.02, supported_m=SEEN_M)
-    begun, later = drive.along_m < CLEAR_OVER_M, (drive.along_m > 45.0) & (drive.along_m < 60.0)
+    begun, later = drive.along_m < CLEAR_OVER_M, (drive.along_m > 55.0) & (drive.along_m < 60.0)
     assert drive.speed_mps[begun].max() < SETTINGS.careful_mps
     assert stopping_mps(SEEN_M) - 0.4 < drive.speed_mps[later].min()
     assert drive.speed_mps.max() < stopping_mps(SEEN_M) + 0.1
@@ -386,9 +387,9 @@ def test_a_path_well_borne_out_is_driven_by_sight() -> None:
 
 def test_where_sight_ends_the_car_stops_within_it() -> None:
     """From the speed that the sight allows, to the one at which it feels its way."""
-    path = path_of((75.0, 0.0))
-    drive = Drive(path, SETTINGS, ahead_m=75.0, supported_m=lambda at_m: max(0.0, min(SEEN_M, 55.0 - at_m)))
-    on_its_way = drive.along_m < 55.0 - CAR.wheelbase_m
+    path = path_of((85.0, 0.0))
+    drive = Drive(path, SETTINGS, ahead_m=85.0, supported_m=lambda at_m: max(0.0, min(SEEN_M, 65.0 - at_m)))
+    on_its_way = drive.along_m < 65.0 - CAR.wheelbase_m + BEYOND_CONES_M
     assert drive.speed_mps[on_its_way].max() > stopping_mps(SEEN_M) - 0.5
     assert drive.speed_mps[~on_its_way].max() < FEEL_ITS_WAY_MPS + 0.5
 
@@ -396,7 +397,7 @@ def test_where_sight_ends_the_car_stops_within_it() -> None:
 def test_cones_that_come_into_sight_one_by_one_do_not_jolt() -> None:
     """Sight grows by 2.5 m at a time, in which the car drives 2.5 m."""
     drive = Drive(path_of((90.0, 0.0)), SETTINGS, 0.02, supported_m=lambda at_m: SEEN_M - at_m % 2.5)
-    there = (drive.along_m > 40.0) & (drive.along_m < 68.0)
+    there = (drive.along_m > 45.0) & (drive.along_m < 68.0)
     assert not drive.brake[there].any()
     assert drive.speed_mps[there].min() > stopping_mps(SEEN_M - 2.5) - 0.4 and np.ptp(drive.speed_mps[there]) < 0.5
 
@@ -404,8 +405,8 @@ def test_cones_that_come_into_sight_one_by_one_do_not_jolt() -> None:
 def test_where_looks_get_worse_the_speed_falls_gently() -> None:
     """To a careful one, also in the corner that follows."""
     path = path_of((80.0, 0.0), (20.0, 1 / 8.0))
-    drive = Drive(path, SETTINGS, supported_m=SEEN_M, confidence=lambda at_m: 1.0 if at_m < 45.0 else 0.89)
-    before, after = drive.along_m < 45.0, drive.along_m > 65.0
+    drive = Drive(path, SETTINGS, supported_m=SEEN_M, confidence=lambda at_m: 1.0 if at_m < 45.0 else CLEAR - 0.01)
+    before, after = drive.along_m < 45.0, drive.along_m > 68.0
     assert drive.speed_mps[before].max() > SETTINGS.careful_mps + 1.0
     assert drive.speed_mps[after].max() < SETTINGS.careful_mps
     assert np.diff(drive.speed_mps[~after]).min() / 0.01 > -3.5

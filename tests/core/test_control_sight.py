@@ -12,6 +12,7 @@ from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import (
     CLEAR,
+    CLEAR_AGAIN_M,
     CLEAR_APART_M,
     CLEAR_M,
     CLEAR_OVER_M,
@@ -19,6 +20,8 @@ from fsai_vcu.core.control.sight import (
     LOOK_S,
     STEADY_M,
     Sight,
+    stopping_m,
+    stops_from_m2ps2,
 )
 from fsai_vcu.core.driving import Plan
 from fsai_vcu.core.planning.pose import NO_PATH
@@ -35,13 +38,13 @@ def looks(way_m: float, every_m: float = 0.5, confidence: float = 1.0, sight_m: 
     return [(at_m, confidence, sight_m) for at_m in np.arange(0.0, way_m, every_m).tolist()]
 
 
-def allowed_mps(seen: Looks, ahead_m: float = 0.0) -> float:
-    """The speed allowed after the last look, so far ahead of it; 0 where the car must be careful."""
+def allowed_mps(seen: Looks, ahead_m: float = 0.0, bend_1pm: float = 0.0) -> float:
+    """The speed allowed after the last look, so far ahead of it, in such a bend; 0 where the car must be careful."""
     sight = Sight()
     square = math.nan
     for at_m, confidence, sight_m in seen:
         sight.look(Plan(0, 1, Ami.AUTOCROSS, NO_PATH, supported_m=sight_m, confidence=confidence), sight_m, at_m)
-        square = float(sight.ceiling(BRAKING_MPS2, REACTION_S, at_m, SPEED_MPS, HERE + at_m + ahead_m)[0])
+        square = float(sight.ceiling(BRAKING_MPS2, REACTION_S, bend_1pm, at_m, SPEED_MPS, HERE + at_m + ahead_m)[0])
     return math.sqrt(square)
 
 
@@ -57,6 +60,31 @@ def test_the_speed_allowed_stops_within_sight(sight_m: float) -> None:
     assert speed * (REACTION_S + LOOK_S) + speed**2 / (2.0 * BRAKING_MPS2) == pytest.approx(sight_m)
 
 
+@pytest.mark.parametrize(("bend_1pm", "mps"), [(0.0, 9.0), (0.05, 9.0), (0.1, 7.5), (0.3, 4.0)])
+def test_in_a_bend_the_brakes_have_what_it_leaves_of_the_grip(bend_1pm: float, mps: float) -> None:
+    """The way of a car braked step by step is the way that is reckoned with, there and back."""
+    speed, way_m, step_s = mps, 0.0, 1e-4
+    while speed > 0.0:
+        way_m += speed * step_s
+        speed -= step_s * math.sqrt(max(BRAKING_MPS2**2 - (speed**2 * bend_1pm) ** 2, 1e-6))
+    assert stopping_m(mps**2, bend_1pm, BRAKING_MPS2) == pytest.approx(way_m, abs=0.01)
+    assert stops_from_m2ps2(way_m, bend_1pm, BRAKING_MPS2) == pytest.approx(mps**2, abs=0.1)
+
+
+def test_sight_in_a_bend_allows_less_speed_and_no_more_than_its_grip() -> None:
+    seen = looks(30.0)
+    allowed = [allowed_mps(seen, bend_1pm=bend_1pm) for bend_1pm in (0.0, 0.05, 0.1)]
+    assert allowed == sorted(allowed, reverse=True)
+    assert allowed_mps(seen, bend_1pm=0.3) == pytest.approx(math.sqrt(BRAKING_MPS2 / 0.3))
+
+
+def test_after_a_doubt_less_way_is_enough() -> None:
+    seen = [*looks(30.0, sight_m=2.0 * SIGHT_M), (30.0, DOUBTFUL - 0.01, 2.0 * SIGHT_M)]
+    after = [(30.0 + at_m, sure, m) for at_m, sure, m in looks(CLEAR_AGAIN_M + 1.0, sight_m=2.0 * SIGHT_M)[1:]]
+    slowed = [look for look in after if look[0] < 30.0 + CLEAR_AGAIN_M]
+    assert allowed_mps(seen + slowed) < SPEED_MPS < allowed_mps(seen + after) == allowed_mps(seen[:-1])
+
+
 def test_the_shortest_sight_lately_counts() -> None:
     seen = looks(30.0, sight_m=2.0 * SIGHT_M)
     shorter = [(at_m, sure, SIGHT_M if at_m == 20.0 else sight_m) for at_m, sure, sight_m in seen]
@@ -70,7 +98,9 @@ UNCLEAR: dict[str, Callable[[Looks], Looks]] = {
     "doubt": lambda seen: [(at_m, CLEAR - 0.01, sight_m) for at_m, _, sight_m in seen],
     "much doubt": lambda seen: [(at_m, DOUBTFUL - 0.01, sight_m) for at_m, _, sight_m in seen],
     "short sight": lambda seen: [(at_m, sure, CLEAR_M - 0.1) for at_m, sure, _ in seen],
-    "doubt in every fourth look": lambda seen: [(at, 0.8 if at % 2.0 == 0.0 else sure, m) for at, sure, m in seen],
+    "doubt in every fourth look": lambda seen: [
+        (at, CLEAR - 0.1 if at % 2.0 == 0.0 else sure, m) for at, sure, m in seen
+    ],
     "much doubt now and then": lambda seen: [(at, 0.4 if at % 14.0 == 0.0 else sure, m) for at, sure, m in seen],
     "looks far apart": lambda seen: seen[:: round((CLEAR_APART_M + 0.5) / 0.5)],
 }

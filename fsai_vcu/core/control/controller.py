@@ -20,7 +20,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.pace import Pace, Signs, axle_slip
 from fsai_vcu.core.control.path_tracking import PathLine, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.sight import Sight
+from fsai_vcu.core.control.sight import BEYOND_CONES_M, Sight, stopping_m
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.demo import DemoState, advance_demo
@@ -89,7 +89,8 @@ class Controller:
         self._line: PathLine | None = None
         self._profile: Floats | None = None
         self._sight = Sight()
-        self._sight_end_m = math.inf  # along the line: before it the front wheels of a car that drives by sight stop
+        # Along the line: before it the front wheels of a car that drives by sight stop, on a line so bent.
+        self._sight_end_m, self._bend_1pm = math.inf, 0.0
         self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; as the wheels turn now
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
@@ -326,18 +327,21 @@ class Controller:
         allowed = most if known else min(most, settings.careful_mps - HELD_BELOW_MPS)
         lateral, braking = self._grip_mps2(plan.mapped, known)
         at_m = seen_from_m + line.along_m - here  # along the driven path
-        now_m, sight_m = seen_from_m + driven_m, plan.supported_m - car.wheelbase_m
+        now_m, borne_out_m = seen_from_m + driven_m, plan.supported_m - car.wheelbase_m
         slowest = profile(self._careful(sure, allowed, now_m, speed, at_m), lateral, braking)
         # The front wheels can stop on what cones bear out.
-        left_m = seen_from_m + sight_m - at_m
+        left_m = seen_from_m + borne_out_m - at_m
         slowest = np.minimum(slowest, np.maximum(2.0 * settings.stopping_mps2 * left_m, FEEL_ITS_WAY_MPS**2))
         self._sight_end_m = math.inf
         if known or allowed == most:
             self._sight = Sight()
             return slowest
+        sight_m = min(borne_out_m, float(line.along_m[-1]) - here) + BEYOND_CONES_M
         self._sight.look(plan, sight_m, seen_from_m)
         braking = settings.sight_braking_mps2
-        by_sight = self._sight.ceiling(braking, settings.reaction_s, now_m, speed, at_m)
+        ahead = (line.along_m >= here) & (line.along_m <= here + sight_m)
+        self._bend_1pm = float(np.abs(line.curvature_1pm[ahead]).mean()) if ahead.any() else 0.0
+        by_sight = self._sight.ceiling(braking, settings.reaction_s, self._bend_1pm, now_m, speed, at_m)
         if by_sight.max() <= FEEL_ITS_WAY_MPS**2:
             return slowest
         self._sight_end_m = here + sight_m
@@ -428,23 +432,29 @@ class Controller:
         hardest = max(most_braking * braking_share(lateral / grip), BEYOND_GRIP_MPS2)
         left = traction_mps2(self._car, grip, speed * motion.yaw_rate_radps)
         most = 0.0 if late else min(most_mps2(self._car, speed), left)
-        wanted = min(max(min(wanted, self._for_sight(here_m, speed)), -hardest), most)
+        wanted = min(max(wanted, -hardest), most)
         if self._accelerated_ns is not None:
             change = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
             wanted = min(wanted, self._acceleration_mps2 + change)
             if wanted > -hardest:  # what nobody could foresee is braked for at once
                 wanted = max(wanted, self._acceleration_mps2 - change)
         self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
+        # Sight too short for a moment is braked for as long as it is, and no longer: the next look may see further.
+        wanted = min(wanted, max(self._for_sight(here_m, speed), -hardest))
         self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)
         if self._braking and speed > 0.3:
             return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
         return throttle_for(self._car, wanted, speed), 0.0
 
     def _for_sight(self, here_m: float, speed: float) -> float:
-        """Return the acceleration that stops the car within sight, where that is as much as planned with; or inf."""
-        left_m = self._sight_end_m - here_m - speed * self._settings.reaction_s
-        needed = (speed**2 - FEEL_ITS_WAY_MPS**2) / (2.0 * max(left_m, 0.1))
-        return -needed if needed > self._settings.sight_braking_mps2 else math.inf
+        """Return the acceleration that stops the car within sight, where that takes more than is planned with; or inf.
+
+        Half of what the car can do beyond its plan is left for the stop itself.
+        """
+        grip_mps2 = 0.5 * (self._settings.sight_braking_mps2 + self._settings.sight_braking_max_mps2)
+        left_m = max(self._sight_end_m - here_m - speed * self._settings.reaction_s, 0.0)
+        needed_m = stopping_m(max(speed**2 - FEEL_ITS_WAY_MPS**2, 0.0), self._bend_1pm, grip_mps2)
+        return -grip_mps2 * needed_m / max(left_m, 0.1) if needed_m > left_m else math.inf
 
     def _no_way(self, motion: Motion, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
