@@ -114,8 +114,13 @@ class Evidence:
     def judged(self, course: Course, motion: Motion) -> Course:
         """The course with the confidence that it deserves; the way to a stop where the car is lost."""
         self._stuck = False
-        share, why = self._followed(course, motion)
-        course = replace(course, confidence=share * course.confidence, note="; ".join(filter(None, (why, course.note))))
+        share, why, parting_m = self._followed(course, motion)
+        course = replace(
+            course,
+            supported_m=min(course.supported_m, parting_m),
+            confidence=share * course.confidence,
+            note="; ".join(filter(None, (why, course.note))),
+        )
         last, self._last = self._last, (course, motion)
         if course.finished:
             return course
@@ -136,20 +141,26 @@ class Evidence:
             self._lost, self._clear_ns = True, None
         return self._kept(course, motion)
 
-    def _followed(self, course: Course, motion: Motion) -> tuple[float, str]:
-        """The share of a course's confidence that is left by how it follows from the last one, and why."""
+    def _followed(self, course: Course, motion: Motion) -> tuple[float, str, float]:
+        """The share of a course's confidence that is left by how it follows from the last one, and why; and a way (m).
+
+        Where another way than a moment ago begins, after so much way, neither is borne out any more.
+        """
         path = course.path_m
         if len(path) < 2:
-            return 1.0, ""
+            return 1.0, "", math.inf
         aside_m = float(np.hypot(path[:, 0], path[:, 1]).min())
         if self._last is not None and self._last[0].mapped == course.mapped and len(self._last[0].path_m) > 1:
             before = to_vehicle(motion, to_odometry(self._last[1], self._last[0].path_m))
             reach_m = DOUBTED_M + braking_m(motion.speed_mps, LOST_BRAKING_MPS2)
             both_m = min(reach_m, float(lengths_along(before)[-1]) - DOUBTED_M)
-            moved_m = most_aside_m(path[lengths_along(path) < both_m], before)
+            along_m = lengths_along(path)
+            asides_m = asides_of(path[along_m < both_m], before)
+            moved_m = float(asides_m.max(initial=0.0))
             self._moved_m += NEWEST_MOVED * (min(moved_m, MOVED_MOST_M) - self._moved_m)
             if moved_m > TURNED_M:
-                return 0.0, "the way ahead is another one than a moment ago"
+                parting_m = float(along_m[int((asides_m > TURNED_M).argmax())])
+                return 0.0, "the way ahead is another one than a moment ago", parting_m
         radius_m = least_radius_of(path)
         if radius_m < self._least_radius_m - BENT_TOLERANCE_M:
             self._too_tight = radius_m, motion.distance_m
@@ -157,14 +168,14 @@ class Evidence:
         share = (ASIDE_M[1] - aside_m) / (ASIDE_M[1] - ASIDE_M[0])
         moving = f"each look moves the way ahead, by {self._moved_m:.1f} m" if steady < DOUBTFUL else ""
         if share >= 1.0:
-            return steady, moving
+            return steady, moving, math.inf
         note = f"the car is {aside_m:.1f} m beside its path"
         if self._too_tight is not None and motion.distance_m - self._too_tight[1] < BENT_M:
             self._stuck = aside_m >= STUCK_M
             note += (
                 f" in a bend of {self._too_tight[0]:.1f} m, tighter than the {self._least_radius_m:.1f} m it can turn"
             )
-        return steady * max(0.0, share), "; ".join(filter(None, (note, moving)))
+        return steady * max(0.0, share), "; ".join(filter(None, (note, moving))), math.inf
 
     def _clear(self, course: Course, motion: Motion) -> bool:
         """True once a lost car stands and each look of two seconds has shown the way."""
@@ -215,11 +226,11 @@ class Fit:
         return self._confidence
 
 
-def most_aside_m(places_m: Floats, path_m: Floats) -> float:
-    """Distance (m) from a path to that of the places (N, 2) which is furthest beside it; 0 without places."""
+def asides_of(places_m: Floats, path_m: Floats) -> Floats:
+    """(N,) distance (m) of places (N, 2) from a path that they are beside."""
     nearest = gaps(places_m, path_m).argmin(axis=1)
     off, (cos, sin) = places_m - path_m[nearest], headings_along(path_m)
-    return float(np.abs(off[:, 1] * cos[nearest] - off[:, 0] * sin[nearest]).max(initial=0.0))
+    return np.asarray(np.abs(off[:, 1] * cos[nearest] - off[:, 0] * sin[nearest]))
 
 
 def least_radius_of(path_m: Floats) -> float:
