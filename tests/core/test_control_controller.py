@@ -402,6 +402,15 @@ def test_cones_that_come_into_sight_one_by_one_do_not_jolt() -> None:
     assert drive.speed_mps[there].min() > stopping_mps(SEEN_M - 2.5) - 0.4 and np.ptp(drive.speed_mps[there]) < 0.5
 
 
+def test_sight_that_is_short_for_a_moment_is_braked_for_no_longer() -> None:
+    """The speed falls to what the shortest sight allows, and not below it."""
+    short_m = 9.25
+    drive = Drive(path_of((90.0, 0.0)), SETTINGS, supported_m=lambda at_m: short_m if 60.0 < at_m < 60.6 else SEEN_M)
+    there = (drive.along_m > 60.0) & (drive.along_m < 68.0)
+    assert drive.brake[there].max() > 0.5
+    assert drive.speed_mps[there].min() > stopping_mps(short_m) - 0.4
+
+
 def test_where_looks_get_worse_the_speed_falls_gently() -> None:
     """To a careful one, also in the corner that follows."""
     path = path_of((80.0, 0.0), (20.0, 1 / 8.0))
