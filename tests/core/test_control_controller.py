@@ -19,7 +19,7 @@ from fsai_vcu.core.control.controller import FEEL_ITS_WAY_MPS, Controller
 from fsai_vcu.core.control.pace import ANGLE_RAD, Pace
 from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.control.sight import BEYOND_CONES_M, CLEAR, CLEAR_OVER_M, LOOK_S
+from fsai_vcu.core.control.sight import BEYOND_CONES_M, CLEAR, CLEAR_OVER_M
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -71,8 +71,9 @@ def path_of(*pieces: tuple[float, float]) -> np.ndarray:
 
 
 class Drive:
-    """The controller on a simulated car, with a plan every 50 ms that is 50 ms old; looked at every 10 ms.
+    """The controller on a simulated car, with a plan every 50 ms that is as old when it comes; looked at every 10 ms.
 
+    every: ticks of 10 ms from plan to plan, another number of them;
     noise_m: the paths of successive plans move and bend by so much; stop_m: the stopping place; more: fields of every
     plan, or functions that return them of the place. Both are metres along the path.
     """
@@ -85,6 +86,7 @@ class Drive:
         ahead_m: float = 20.0,
         mission: Ami = RUN.mission,
         stop_m: float | None = None,
+        every: int = 5,
         **more: Any,
     ) -> None:
         run = replace(RUN, mission=mission)
@@ -103,7 +105,7 @@ class Drive:
             at += float(((head - (truth.pose.x_m, truth.pose.y_m)) ** 2).sum(axis=1).argmin())
             if at > len(fine) - 80 or (command.brake > 0.0 and speed == 0.0):
                 break
-            if tick % 5 == 0:
+            if tick % every == 0:
                 ahead = path[int(at) // 10 :][: round(ahead_m / 0.5)]
                 seen = np.column_stack(truth.pose.seen(*ahead.T))
                 s, (a, b, c) = np.arange(len(seen)) / 40.0, chance.normal(0.0, noise_m, 3)
@@ -368,11 +370,14 @@ def test_the_shorter_the_path_borne_out_the_slower() -> None:
 SEEN_M = 11.75  # of path borne out, as by a sensor that sees 13 m
 
 
-def stopping_mps(supported_m: float) -> float:
+OLDEST_S = 0.1  # of a plan, when the next one comes
+
+
+def stopping_mps(supported_m: float, oldest_s: float = OLDEST_S) -> float:
     """Speed from which the front wheels stop so little beyond so much path, with the braking planned with."""
     braking = SETTINGS.sight_braking_mps2
     sight_m = supported_m - CAR.wheelbase_m + BEYOND_CONES_M
-    late_mps = braking * (SETTINGS.reaction_s + LOOK_S)
+    late_mps = braking * (SETTINGS.reaction_s + oldest_s)
     return math.sqrt(late_mps**2 + 2.0 * braking * sight_m) - late_mps
 
 
@@ -409,6 +414,30 @@ def test_sight_that_is_short_for_a_moment_is_braked_for_no_longer() -> None:
     there = (drive.along_m > 60.0) & (drive.along_m < 68.0)
     assert drive.brake[there].max() > 0.5
     assert drive.speed_mps[there].min() > stopping_mps(short_m) - 0.4
+
+
+@pytest.mark.parametrize("every", [8, 10, 12])
+def test_a_detector_that_is_slow_makes_the_car_slower_and_no_brake_pulse(every: int) -> None:
+    drive = Drive(path_of((90.0, 0.0)), SETTINGS, supported_m=SEEN_M, every=every)
+    there = (drive.along_m > 50.0) & (drive.along_m < 68.0)
+    assert not drive.brake[there].any()
+    assert drive.speed_mps[there] == pytest.approx(stopping_mps(SEEN_M, 0.02 * every), abs=0.5)
+
+
+def test_the_end_of_a_path_is_the_end_of_sight() -> None:
+    """As it is for a planner that does not say how far cones bear out its path."""
+    drive = Drive(path_of((90.0, 0.0)), SETTINGS, ahead_m=10.0, supported_m=math.inf)
+    assert drive.along_m[drive.speed_mps > SETTINGS.careful_mps][0] > CLEAR_OVER_M
+    assert drive.speed_mps.max() < stopping_mps(10.0) + 0.1
+
+
+@pytest.mark.parametrize("radius_m", [25.0, 14.0])
+def test_where_sight_ends_in_a_bend_the_car_stops_within_it(radius_m: float) -> None:
+    path = path_of((45.0, 0.0), (35.0, 1.0 / radius_m))
+    drive = Drive(path, SETTINGS, ahead_m=80.0, supported_m=lambda at_m: max(0.0, min(SEEN_M, 65.0 - at_m)))
+    beyond = drive.along_m > 65.0 - CAR.wheelbase_m + BEYOND_CONES_M
+    assert drive.speed_mps[drive.along_m > 50.0].max() > SETTINGS.careful_mps
+    assert beyond.any() and drive.speed_mps[beyond].max() < FEEL_ITS_WAY_MPS + 0.5
 
 
 def test_where_looks_get_worse_the_speed_falls_gently() -> None:

@@ -17,18 +17,15 @@ from fsai_vcu.core.control.sight import (
     CLEAR_M,
     CLEAR_OVER_M,
     DOUBTFUL,
-    LOOK_S,
     STEADY_M,
     Sight,
     stopping_m,
     stops_from_m2ps2,
 )
-from fsai_vcu.core.driving import Plan
-from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami
 
-BRAKING_MPS2, REACTION_S, SPEED_MPS = 6.0, 0.1, 9.0
+BRAKING_MPS2, REACTION_S, AGE_S, SPEED_MPS = 6.0, 0.1, 0.1, 9.0
 SIGHT_M = CLEAR_M + 1.0
 HERE = np.zeros(1)
 Looks = list[tuple[float, float, float]]  # how far driven, confidence, sight
@@ -43,7 +40,7 @@ def allowed_mps(seen: Looks, ahead_m: float = 0.0, bend_1pm: float = 0.0) -> flo
     sight = Sight()
     square = math.nan
     for at_m, confidence, sight_m in seen:
-        sight.look(Plan(0, 1, Ami.AUTOCROSS, NO_PATH, supported_m=sight_m, confidence=confidence), sight_m, at_m)
+        sight.look(confidence, sight_m, sight_m, at_m, AGE_S)
         square = float(sight.ceiling(BRAKING_MPS2, REACTION_S, bend_1pm, at_m, SPEED_MPS, HERE + at_m + ahead_m)[0])
     return math.sqrt(square)
 
@@ -57,7 +54,7 @@ def test_clear_looks_on_enough_way_earn_a_speed_by_sight() -> None:
 def test_the_speed_allowed_stops_within_sight(sight_m: float) -> None:
     """Braked with what is planned with, after the brakes' delay and the time until the next look."""
     speed = allowed_mps(looks(30.0, sight_m=sight_m))
-    assert speed * (REACTION_S + LOOK_S) + speed**2 / (2.0 * BRAKING_MPS2) == pytest.approx(sight_m)
+    assert speed * (REACTION_S + AGE_S) + speed**2 / (2.0 * BRAKING_MPS2) == pytest.approx(sight_m)
 
 
 @pytest.mark.parametrize(("bend_1pm", "mps"), [(0.0, 9.0), (0.05, 9.0), (0.1, 7.5), (0.3, 4.0)])
@@ -69,6 +66,12 @@ def test_in_a_bend_the_brakes_have_what_it_leaves_of_the_grip(bend_1pm: float, m
         speed -= step_s * math.sqrt(max(BRAKING_MPS2**2 - (speed**2 * bend_1pm) ** 2, 1e-6))
     assert stopping_m(mps**2, bend_1pm, BRAKING_MPS2) == pytest.approx(way_m, abs=0.01)
     assert stops_from_m2ps2(way_m, bend_1pm, BRAKING_MPS2) == pytest.approx(mps**2, abs=0.1)
+
+
+def test_a_car_too_fast_for_its_bend_needs_more_way_than_on_a_straight() -> None:
+    ways_m = [stopping_m(mps**2, 0.2, BRAKING_MPS2) for mps in (5.0, 6.0, 8.0, 12.0)]
+    assert all(way_m > mps**2 / (2.0 * BRAKING_MPS2) for way_m, mps in zip(ways_m, (5.0, 6.0, 8.0, 12.0), strict=True))
+    assert ways_m == sorted(ways_m)
 
 
 def test_sight_in_a_bend_allows_less_speed_and_no_more_than_its_grip() -> None:

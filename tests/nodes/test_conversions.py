@@ -78,6 +78,12 @@ def test_a_plan_comes_back_as_it_was(stop_distance_m: float | None) -> None:
         assert getattr(back, name) == getattr(plan, name), name
 
 
+@pytest.mark.parametrize(("supported_m", "back_m"), [(0.0, to.NO_WAY_M), (math.inf, math.inf)])
+def test_a_plan_that_bears_out_no_way_is_not_one_that_says_nothing(supported_m: float, back_m: float) -> None:
+    plan = Plan(7, 3, Ami.TRACKDRIVE, np.zeros((0, 2)), supported_m=supported_m)
+    assert to.plan_from_msgs(*to.plan_to_msgs(plan, STAMP), 7).supported_m == back_m
+
+
 def test_the_poses_of_a_path_look_along_it() -> None:
     path = to.path_to_msg(np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 2.0]]), STAMP)
     for pose in path.poses:

@@ -89,8 +89,10 @@ class Controller:
         self._line: PathLine | None = None
         self._profile: Floats | None = None
         self._sight = Sight()
-        # Along the line: before it the front wheels of a car that drives by sight stop, on a line so bent.
-        self._sight_end_m, self._bend_1pm = math.inf, 0.0
+        self._sight_end_m = (
+            math.inf
+        )  # along the line: there the rear axle is when the front wheels are where sight ends
+        self._bend_1pm = 0.0  # of the line up to there
         self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; as the wheels turn now
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
@@ -266,9 +268,12 @@ class Controller:
         if plan.finished and there_now and self._ending_since_ns is None:
             self._ending_since_ns = now_ns
         if plan is not self._planned:
+            age_s = (now_ns - (self._planned or plan).t_sensor_ns) / 1e9
             self._planned, self._line = plan, line_of(np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2))
             self._profile = (
-                None if self._line is None else self._profile_of(plan, self._line, speed, there.distance_m, driven)
+                None
+                if self._line is None
+                else self._profile_of(plan, self._line, speed, there.distance_m, driven, age_s)
             )
         line = self._line
         if line is None:
@@ -306,8 +311,13 @@ class Controller:
         throttle, brake = self._accelerate(line, station - travel, motion, late, now_ns)
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
-    def _profile_of(self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float) -> Floats:
-        """Square of the speed along the line. The plan is of the place `seen_from_m`, the car `driven_m` further."""
+    def _profile_of(
+        self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float, age_s: float
+    ) -> Floats:
+        """Square of the speed along the line.
+
+        The plan is of the place `seen_from_m`, the car `driven_m` further; the plan before it was so old when it came.
+        """
         settings, car = self._settings, self._car
         here = line.beside(0.0, 0.0)[0]
         sure = min(1.0, plan.confidence / settings.confidence_sure)
@@ -333,14 +343,19 @@ class Controller:
         left_m = seen_from_m + borne_out_m - at_m
         slowest = np.minimum(slowest, np.maximum(2.0 * settings.stopping_mps2 * left_m, FEEL_ITS_WAY_MPS**2))
         self._sight_end_m = math.inf
-        if known or allowed == most:
+        if known or allowed == most or plan.lost:
             self._sight = Sight()
             return slowest
-        sight_m = min(borne_out_m, float(line.along_m[-1]) - here) + BEYOND_CONES_M
-        self._sight.look(plan, sight_m, seen_from_m)
+        supported_m = min(plan.supported_m, float(line.along_m[-1]) - here)
+        sight_m = supported_m - car.wheelbase_m + BEYOND_CONES_M
+        self._sight.look(plan.confidence, supported_m, sight_m, seen_from_m, age_s)
         braking = settings.sight_braking_mps2
-        ahead = (line.along_m >= here) & (line.along_m <= here + sight_m)
-        self._bend_1pm = float(np.abs(line.curvature_1pm[ahead]).mean()) if ahead.any() else 0.0
+        # A bend that opens takes more of the grip at first, when the car is fastest.
+        bends = [
+            np.abs(line.curvature_1pm[(line.along_m >= here) & (line.along_m <= here + share * sight_m)])
+            for share in (0.5, 1.0)
+        ]
+        self._bend_1pm = max(float(bend.mean()) if len(bend) else 0.0 for bend in bends)
         by_sight = self._sight.ceiling(braking, settings.reaction_s, self._bend_1pm, now_m, speed, at_m)
         if by_sight.max() <= FEEL_ITS_WAY_MPS**2:
             return slowest
@@ -440,20 +455,25 @@ class Controller:
                 wanted = max(wanted, self._acceleration_mps2 - change)
         self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
         # Sight too short for a moment is braked for as long as it is, and no longer: the next look may see further.
-        wanted = min(wanted, max(self._for_sight(here_m, speed), -hardest))
+        for_sight = max(self._for_sight(here_m, speed), -hardest)
+        if for_sight < wanted:
+            self._acceleration_mps2, wanted = min(wanted, 0.0), for_sight  # after it throttle comes gradually
         self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)
         if self._braking and speed > 0.3:
             return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
         return throttle_for(self._car, wanted, speed), 0.0
 
     def _for_sight(self, here_m: float, speed: float) -> float:
-        """Return the acceleration that stops the car within sight, where that takes more than is planned with; or inf.
+        """Return the acceleration that brings the car within sight to a speed at which it feels its way, or inf.
 
-        Half of what the car can do beyond its plan is left for the stop itself.
+        It is inf as long as less is needed than half-way from the braking planned with to the most that is used.
         """
         grip_mps2 = 0.5 * (self._settings.sight_braking_mps2 + self._settings.sight_braking_max_mps2)
         left_m = max(self._sight_end_m - here_m - speed * self._settings.reaction_s, 0.0)
-        needed_m = stopping_m(max(speed**2 - FEEL_ITS_WAY_MPS**2, 0.0), self._bend_1pm, grip_mps2)
+        slow_m, stop_m = (
+            stopping_m(each * each, self._bend_1pm, grip_mps2) for each in (min(speed, FEEL_ITS_WAY_MPS), speed)
+        )
+        needed_m = stop_m - slow_m
         return -grip_mps2 * needed_m / max(left_m, 0.1) if needed_m > left_m else math.inf
 
     def _no_way(self, motion: Motion, why: str) -> tuple[float, float]:

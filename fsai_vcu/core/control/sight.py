@@ -12,19 +12,18 @@ from collections import deque
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.driving import Plan
 
-# A look bears out the path well with such a confidence, so long a supported path, and so little way since the last one.
-CLEAR, CLEAR_M, CLEAR_APART_M = 0.8, 9.0, 1.5
+# A look bears out the path well with such a confidence (more than displaced cones leave at worst), so long a supported
+# path, and so little way since the last one.
+CLEAR, CLEAR_M, CLEAR_APART_M = 0.81, 9.0, 1.5
 CLEAR_OVER_M = 15.0  # of way, on which the looks must have done so …
 CLEAR_AGAIN_M = 8.0  # … or of less, after a doubt on a path that was driven by sight, …
 # … but for such a share of the looks within STEADY_M, with at least so much confidence: the others outvote them.
 UNSURE_MOST, DOUBTFUL = 0.25, 0.5
 STEADY_M = 4.0  # of way: cones come into sight one by one, and the speed follows the shortest sight among them
-LOOK_S = 0.1  # a look is so old when the next one comes
 UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look must not brake hard
-# So far beyond the last cones seen the front wheels may stop: on 1.5 m a lane with a middle of 2.9 m of radius, sharper
-# than the rules allow, leads 0.4 m aside, and the body has 0.7 m to the cones of a lane of 3 m.
+# So far beyond the last cones seen the front wheels may stop. On that way the sharpest lane, 3 m wide with a middle of
+# 2.9 m of radius, leads 0.4 m aside, and the wheels have 0.8 m; to the nose it leads 0.8 m, as much as there is.
 BEYOND_CONES_M = 1.5
 STRAIGHT_1PM = 1e-6
 
@@ -32,10 +31,12 @@ STRAIGHT_1PM = 1e-6
 def stopping_m(square_m2ps2: float, bend_1pm: float, grip_mps2: float) -> float:
     """Return the way on which tyres of such a grip stop a car in such a bend, from the square of its speed.
 
-    What the bend takes of the grip, the brakes do not have: along the way d(v2)/ds is -2 sqrt(grip2 - (v2 bend)2).
+    What the bend takes of the grip, the brakes do not have: along the way d(v2)/ds is -2 sqrt(grip2 - (v2 bend)2). A
+    car too fast for the bend sheds what is too much with all of the grip.
     """
     bend_1pm = max(bend_1pm, STRAIGHT_1PM)
-    return math.asin(min(square_m2ps2 * bend_1pm / grip_mps2, 1.0)) / (2.0 * bend_1pm)
+    used = square_m2ps2 * bend_1pm / grip_mps2
+    return (math.asin(min(used, 1.0)) + max(used - 1.0, 0.0)) / (2.0 * bend_1pm)
 
 
 def stops_from_m2ps2(way_m: float, bend_1pm: float, grip_mps2: float) -> float:
@@ -48,20 +49,21 @@ class Sight:
     """The looks of a run, and whether the car drives by sight."""
 
     def __init__(self) -> None:
-        # How far driven (m), the sight from there (m), and whether the look was sure.
-        self._lately: deque[tuple[float, float, bool]] = deque()
+        # How far driven (m), the sight from there (m), whether the look was sure, and how old (s) the look before it
+        # was when it came.
+        self._lately: deque[tuple[float, float, bool, float]] = deque()
         self._unclear_m = 0.0  # how far driven when a look last did not bear out the path well
         self._driven: tuple[float, float] | None = None  # how far, and how fast, when the car last drove by sight
 
-    def look(self, plan: Plan, sight_m: float, seen_from_m: float) -> None:
-        """Take in the next look, from a place so far driven."""
+    def look(self, confidence: float, supported_m: float, sight_m: float, seen_from_m: float, age_s: float) -> None:
+        """Take in the next look, from a place so far driven; `age_s`: of the look before it, when it came."""
         lately = self._lately
-        doubtful = plan.confidence < DOUBTFUL or plan.supported_m < CLEAR_M
+        doubtful = confidence < DOUBTFUL or supported_m < CLEAR_M
         followed = bool(lately) and seen_from_m - lately[-1][0] <= CLEAR_APART_M
-        lately.append((seen_from_m, sight_m, plan.confidence >= CLEAR))
+        lately.append((seen_from_m, sight_m, confidence >= CLEAR, age_s))
         while lately[0][0] < seen_from_m - STEADY_M:
             lately.popleft()
-        if doubtful or not followed or sum(not sure for *_, sure in lately) > UNSURE_MOST * len(lately):
+        if doubtful or not followed or sum(not sure for _, _, sure, _ in lately) > UNSURE_MOST * len(lately):
             self._unclear_m = seen_from_m
 
     def ceiling(
@@ -70,7 +72,7 @@ class Sight:
         """(N,) square of the speed that sight allows at places along the driven path; 0 where the car must be careful.
 
         With tyres of such a grip on a path so bent, and such a time after the next look has come, the car stops within
-        the shortest sight lately.
+        the shortest sight lately. The next look comes as late as the latest one lately.
         """
         falling: Floats = np.full(len(at_m), math.inf)
         clear_m = CLEAR_OVER_M if self._driven is None else CLEAR_AGAIN_M
@@ -81,9 +83,10 @@ class Sight:
         else:
             last_m, last_mps = self._driven
             falling = np.maximum(last_mps**2 - 2.0 * UNCLEAR_MPS2 * (at_m - last_m), 0.0)
-        sight_m = max(0.0, min(sight_m for _, sight_m, _ in self._lately))
-        late_mps = grip_mps2 * (reaction_s + LOOK_S)
+        sight_m = max(0.0, min(sight_m for _, sight_m, _, _ in self._lately))
+        late_s = reaction_s + max(age_s for *_, age_s in self._lately)
+        late_mps = grip_mps2 * late_s
         straight_mps = math.sqrt(late_mps**2 + 2.0 * grip_mps2 * sight_m) - late_mps
-        way_m = sight_m - straight_mps * (reaction_s + LOOK_S)
+        way_m = sight_m - straight_mps * late_s
         allowed: Floats = np.minimum(falling, stops_from_m2ps2(way_m, bend_1pm, grip_mps2))
         return allowed

@@ -117,7 +117,7 @@ class Evidence:
         share, why, parting_m = self._followed(course, motion)
         course = replace(
             course,
-            supported_m=min(course.supported_m, parting_m),
+            supported_m=course.supported_m if course.mapped else min(course.supported_m, parting_m),
             confidence=share * course.confidence,
             note="; ".join(filter(None, (why, course.note))),
         )
@@ -142,9 +142,10 @@ class Evidence:
         return self._kept(course, motion)
 
     def _followed(self, course: Course, motion: Motion) -> tuple[float, str, float]:
-        """The share of a course's confidence that is left by how it follows from the last one, and why; and a way (m).
+        """The share of a course's confidence that is left by how it follows from the last one, why, and a length (m).
 
-        Where another way than a moment ago begins, after so much way, neither is borne out any more.
+        The length is that of the path up to where it leaves the last one by `TURNED_M`; inf where it does not. Beyond
+        that place neither of the two is borne out.
         """
         path = course.path_m
         if len(path) < 2:
@@ -155,7 +156,7 @@ class Evidence:
             reach_m = DOUBTED_M + braking_m(motion.speed_mps, LOST_BRAKING_MPS2)
             both_m = min(reach_m, float(lengths_along(before)[-1]) - DOUBTED_M)
             along_m = lengths_along(path)
-            asides_m = asides_of(path[along_m < both_m], before)
+            asides_m = aside_m_of(path[along_m < both_m], before)
             moved_m = float(asides_m.max(initial=0.0))
             self._moved_m += NEWEST_MOVED * (min(moved_m, MOVED_MOST_M) - self._moved_m)
             if moved_m > TURNED_M:
@@ -226,7 +227,7 @@ class Fit:
         return self._confidence
 
 
-def asides_of(places_m: Floats, path_m: Floats) -> Floats:
+def aside_m_of(places_m: Floats, path_m: Floats) -> Floats:
     """(N,) distance (m) of places (N, 2) from a path that they are beside."""
     nearest = gaps(places_m, path_m).argmin(axis=1)
     off, (cos, sin) = places_m - path_m[nearest], headings_along(path_m)

@@ -31,6 +31,7 @@ ODOM_FRAME = "odom"  # REP-105: where the run began
 
 UNKNOWN = 255
 NEVER = math.nan
+NO_WAY_M = 0.01  # a plan that bears out no way at all: 0 would say that it does not tell
 _UINT32_MAX = 2**32 - 1
 
 
@@ -98,7 +99,7 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
         stop_distance_m=NEVER if plan.stop_distance_m is None else float(plan.stop_distance_m),
         cones_count_actual=_count(plan.cones_count_actual),
         cones_count_all=_count(plan.cones_count_all),
-        supported_m=float(plan.supported_m) if math.isfinite(plan.supported_m) else 0.0,
+        supported_m=max(float(plan.supported_m), NO_WAY_M) if math.isfinite(plan.supported_m) else 0.0,
         confidence=float(plan.confidence),
         mapped=bool(plan.mapped),
         slip_radpmps2=float(plan.slip_radpmps2),
