@@ -346,7 +346,7 @@ class Controller:
         if known or allowed == most or plan.lost:
             self._sight = Sight()
             return slowest
-        supported_m = min(plan.supported_m, float(line.along_m[-1]) - here)
+        supported_m = plan.supported_m if math.isfinite(plan.supported_m) else float(line.along_m[-1]) - here
         sight_m = supported_m - car.wheelbase_m + BEYOND_CONES_M
         self._sight.look(plan.confidence, supported_m, sight_m, seen_from_m, age_s)
         braking = settings.sight_braking_mps2
