@@ -21,7 +21,7 @@ from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import BEYOND_CONES_M, CLEAR, CLEAR_OVER_M
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
-from fsai_vcu.core.driving import Motion, Plan, Run
+from fsai_vcu.core.driving import LOST, Motion, Plan, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.pose import resampled
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -438,6 +438,16 @@ def test_where_sight_ends_in_a_bend_the_car_stops_within_it(radius_m: float) -> 
     beyond = drive.along_m > 65.0 - CAR.wheelbase_m + BEYOND_CONES_M
     assert drive.speed_mps[drive.along_m > 50.0].max() > SETTINGS.careful_mps
     assert beyond.any() and drive.speed_mps[beyond].max() < FEEL_ITS_WAY_MPS + 0.5
+
+
+def test_a_car_that_was_lost_is_careful_as_from_its_start() -> None:
+    said = LOST + "where it is"
+    drive = Drive(
+        path_of((90.0, 0.0)), SETTINGS, supported_m=SEEN_M, note=lambda at_m: said if 40.0 < at_m < 40.7 else ""
+    )
+    before, after = (drive.along_m > 36.0) & (drive.along_m < 40.0), (drive.along_m > 52.0) & (drive.along_m < 55.0)
+    assert drive.speed_mps[before].max() > SETTINGS.careful_mps > drive.speed_mps[after].max()
+    assert drive.speed_mps[drive.along_m > 60.0].max() > SETTINGS.careful_mps
 
 
 def test_where_looks_get_worse_the_speed_falls_gently() -> None:
