@@ -30,10 +30,11 @@ from fsai_vcu.core.planning.lap_strategy import (
     free_of_cones,
     other_lanes,
     unmistaken,
+    until_border_m,
     within_borders,
 )
 from fsai_vcu.core.planning.planner import Planner
-from fsai_vcu.core.planning.pose import to_vehicle
+from fsai_vcu.core.planning.pose import NO_PATH, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
@@ -342,6 +343,37 @@ def test_a_way_into_another_lane_is_doubted_by_two_colours(beyond_m: float, note
     assert plan is not None and plan.note == note
 
 
+LAST = (12.0, 1.2)  # beside the path, with the last one of the right border 9 m along it
+
+
+@pytest.mark.parametrize(
+    ("last", "color", "further", "until_m"),
+    [
+        (LAST, ConeColor.YELLOW, (), 10.5),  # the lane turns left there
+        (LAST, ConeColor.BLUE, (), math.inf),
+        (LAST, ConeColor.UNKNOWN, (), math.inf),
+        ((12.0, -1.2), ConeColor.YELLOW, (), math.inf),
+        ((12.0, 2.4), ConeColor.YELLOW, (), math.inf),  # another lane's
+        ((13.3, 1.2), ConeColor.YELLOW, (), math.inf),  # too far from the one before
+        (LAST, ConeColor.YELLOW, ((14.0, 1.5),), math.inf),  # it has a wrong colour: the lane goes on
+        (LAST, ConeColor.YELLOW, ((14.0, 3.0),), 10.5),
+    ],
+)
+def test_between_the_last_cones_of_a_border_the_way_is_not_borne_out(
+    last: tuple[float, float], color: ConeColor, further: tuple[tuple[float, float], ...], until_m: float
+) -> None:
+    along = np.arange(0.0, 10.0, 3.0)
+    rows = [np.column_stack((along, np.full(4, y))) for y in (1.5, -1.5)]
+    xy = np.vstack((*rows, [last], np.array(further).reshape(-1, 2)))
+    hue = np.repeat(
+        [int(ConeColor.BLUE), int(ConeColor.YELLOW), int(color), int(ConeColor.BLUE)], (4, 4, 1, len(further))
+    )
+    cones = Cones(xy, hue, np.zeros(len(xy)), np.arange(len(xy)))
+    assert until_border_m(SURE, cones, 1.5) == until_m
+    assert until_border_m(replace(SURE, path_m=NO_PATH), cones, 1.5) == math.inf
+    assert until_border_m(SURE, cones.only(np.zeros(len(xy), dtype=bool)), 1.5) == math.inf
+
+
 def test_a_lane_that_many_colours_contradict_crosses_a_border() -> None:
     along = np.arange(-10.0, 20.0, 3.0)
     xy = np.vstack((np.column_stack((along, np.full(10, 1.5))), np.column_stack((along, np.full(10, -1.5)))))
@@ -388,6 +420,7 @@ def test_of_ever_so_many_cones_the_nearest_are_looked_at() -> None:
     tracemalloc.start()
     try:
         assert within_borders(ASTRAY, many, side) == CROSSES
+        until_border_m(ASTRAY, Cones(many, np.where(side > 0.0, 1, 2), side, np.arange(len(side))), 1.5)
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:
         tracemalloc.stop()

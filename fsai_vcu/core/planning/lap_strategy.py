@@ -32,6 +32,7 @@ KNOWN_MOST = 0.9  # with a smaller share only cones that most looks find make th
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
 BORDER_APART_M = 5.0  # … at most so far apart
+WIDER_M, FURTHER_ON_M = 0.7, 1.0  # cones so much further off than the lane's border border no path; further along it
 # A cone that contradicts the lane by so much has a wrong colour, where so few and so small a share of all do.
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 BEYOND_COS = 0.7  # of the angle between the way from a path to a cone and that on to one beyond it
@@ -103,9 +104,15 @@ class LapStrategy:
             standing, known = cones.only(sure), unmistaken(cones.side, stands)[sure]
             side = np.where(other_lanes(standing, stands[sure], course.path_m), hues(standing), known)
             within, crossing = within_borders(course, sure_xy_m, side)
+            until_m = until_border_m(course, standing, self._half_width_m)
             notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, crossing, course.note)
             confidence = clear * free * within * course.confidence
-            course = replace(course, confidence=confidence, note="; ".join(filter(None, notes)))
+            course = replace(
+                course,
+                supported_m=min(course.supported_m, until_m),
+                confidence=confidence,
+                note="; ".join(filter(None, notes)),
+            )
         self._count(cones, course.path_m, here)
         if racing is not None:
             self._state = racing.close(self._state, here)
@@ -294,14 +301,43 @@ def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[flo
     return 1.0, ""
 
 
+def until_border_m(course: Course, sure: Cones, half_width_m: float) -> float:
+    """Return the length (m) of path up to where it passes between two cones of one colour that border it; inf if none.
+
+    There it leads out of the lane, or one of the two has a wrong colour. Cones that border it further on show the
+    latter; as long as none are seen, the path is not borne out beyond that place.
+    """
+    along_m = lengths_along(course.path_m) if len(course.path_m) else np.zeros(0)
+    path = course.path_m[along_m <= course.supported_m]
+    if len(path) < 2 or not len(sure.xy_m):
+        return math.inf
+    away_m = gaps(sure.xy_m, path)
+    least_m, colour = away_m.min(axis=1), hues(sure)
+    chosen = least_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
+    chosen = chosen[(least_m[chosen] < half_width_m + WIDER_M) & (colour[chosen] != 0.0)]
+    border, sign = sure.xy_m[chosen], colour[chosen]
+    one, other = np.nonzero(np.triu((gaps(border, border) < BORDER_APART_M) & (sign[:, None] == sign), 1))
+    if not len(one):
+        return math.inf
+    at_m = along_m[away_m[chosen].argmin(axis=1)]
+    last = np.maximum(at_m[one], at_m[other]) > at_m.max() - FURTHER_ON_M
+    parts = crossings(path, border[one[last]], border[other[last]]).any(axis=1)
+    return float(along_m[int(parts.argmax())]) if parts.any() else math.inf
+
+
 def crossed(path_m: Floats, begin_m: Floats, end_m: Floats) -> Bools:
     """(P,) whether a path (M, 2) crosses the line from one of the places (P, 2) to the other of the same row."""
+    return np.asarray(crossings(path_m, begin_m, end_m).any(axis=0))
+
+
+def crossings(path_m: Floats, begin_m: Floats, end_m: Floats) -> Bools:
+    """(M - 1, P) whether the parts of a path (M, 2) cross these lines, as in `crossed`."""
     step, line = np.diff(path_m, axis=0)[:, None], (end_m - begin_m)[None]
     to_begin, to_end = begin_m[None] - path_m[:-1, None], end_m[None] - path_m[:-1, None]
     after = to_begin - step
     ends_apart = _across(step, to_begin) * _across(step, to_end) < 0.0
     meets = ends_apart & (_across(line, to_begin) * _across(line, after) <= 0.0)
-    return np.asarray(meets.any(axis=0))
+    return np.asarray(meets)
 
 
 def _across(one: Floats, other: Floats) -> Floats:
