@@ -407,7 +407,7 @@ def test_cones_that_come_into_sight_one_by_one_do_not_jolt() -> None:
     assert drive.speed_mps[there].min() > stopping_mps(SEEN_M - 2.5) - 0.4 and np.ptp(drive.speed_mps[there]) < 0.5
 
 
-def test_sight_that_is_short_for_a_moment_is_braked_for_no_longer() -> None:
+def test_sight_short_for_a_moment_is_braked_for_no_longer() -> None:
     """The speed falls to what the shortest sight allows, and not below it."""
     short_m = 9.25
     drive = Drive(path_of((90.0, 0.0)), SETTINGS, supported_m=lambda at_m: short_m if 60.0 < at_m < 60.6 else SEEN_M)
@@ -417,7 +417,7 @@ def test_sight_that_is_short_for_a_moment_is_braked_for_no_longer() -> None:
 
 
 @pytest.mark.parametrize("every", [8, 10, 12])
-def test_a_detector_that_is_slow_makes_the_car_slower_and_no_brake_pulse(every: int) -> None:
+def test_a_slow_detector_makes_the_car_slower_and_no_brake_pulse(every: int) -> None:
     drive = Drive(path_of((90.0, 0.0)), SETTINGS, supported_m=SEEN_M, every=every)
     there = (drive.along_m > 50.0) & (drive.along_m < 68.0)
     assert not drive.brake[there].any()

@@ -58,7 +58,7 @@ def test_the_speed_allowed_stops_within_sight(sight_m: float) -> None:
 
 
 @pytest.mark.parametrize(("bend_1pm", "mps"), [(0.0, 9.0), (0.05, 9.0), (0.1, 7.5), (0.3, 4.0)])
-def test_in_a_bend_the_brakes_have_what_it_leaves_of_the_grip(bend_1pm: float, mps: float) -> None:
+def test_in_a_bend_brakes_have_what_it_leaves_of_the_grip(bend_1pm: float, mps: float) -> None:
     """The way of a car braked step by step is the way that is reckoned with, there and back."""
     speed, way_m, step_s = mps, 0.0, 1e-4
     while speed > 0.0:
@@ -68,13 +68,13 @@ def test_in_a_bend_the_brakes_have_what_it_leaves_of_the_grip(bend_1pm: float, m
     assert stops_from_m2ps2(way_m, bend_1pm, BRAKING_MPS2) == pytest.approx(mps**2, abs=0.1)
 
 
-def test_a_car_too_fast_for_its_bend_needs_more_way_than_on_a_straight() -> None:
+def test_a_car_too_fast_for_its_bend_needs_more_way_to_stop() -> None:
     ways_m = [stopping_m(mps**2, 0.2, BRAKING_MPS2) for mps in (5.0, 6.0, 8.0, 12.0)]
     assert all(way_m > mps**2 / (2.0 * BRAKING_MPS2) for way_m, mps in zip(ways_m, (5.0, 6.0, 8.0, 12.0), strict=True))
     assert ways_m == sorted(ways_m)
 
 
-def test_sight_in_a_bend_allows_less_speed_and_no_more_than_its_grip() -> None:
+def test_sight_in_a_bend_allows_no_more_than_its_grip() -> None:
     seen = looks(30.0)
     allowed = [allowed_mps(seen, bend_1pm=bend_1pm) for bend_1pm in (0.0, 0.05, 0.1)]
     assert allowed == sorted(allowed, reverse=True)

@@ -136,7 +136,7 @@ def test_the_points_of_a_way_may_begin_anywhere_along_it() -> None:
 
 
 @pytest.mark.parametrize("mapped", [False, True])
-def test_where_the_way_is_another_one_it_is_borne_out_until_there(mapped: bool) -> None:
+def test_where_the_way_is_another_one_it_is_borne_out_so_far(mapped: bool) -> None:
     """One that leads aside from 1 m on; the last one is not driven on beyond that place either. A map bears out more.
 
     It is 0.7 m aside after 1 m of the way straight on and 1 m of the way aside.
@@ -359,7 +359,7 @@ LAST = (12.0, 1.2)  # beside the path, with the last one of the right border 9 m
         (LAST, ConeColor.YELLOW, ((14.0, 3.0),), 10.5),
     ],
 )
-def test_between_the_last_cones_of_a_border_the_way_is_not_borne_out(
+def test_between_the_last_cones_of_a_border_no_way_is_borne_out(
     last: tuple[float, float], color: ConeColor, further: tuple[tuple[float, float], ...], until_m: float
 ) -> None:
     along = np.arange(0.0, 10.0, 3.0)

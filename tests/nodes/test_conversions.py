@@ -79,7 +79,7 @@ def test_a_plan_comes_back_as_it_was(stop_distance_m: float | None) -> None:
 
 
 @pytest.mark.parametrize(("supported_m", "back_m"), [(0.0, to.NO_WAY_M), (math.inf, math.inf)])
-def test_a_plan_that_bears_out_no_way_is_not_one_that_says_nothing(supported_m: float, back_m: float) -> None:
+def test_a_plan_that_bears_out_no_way_says_so(supported_m: float, back_m: float) -> None:
     plan = Plan(7, 3, Ami.TRACKDRIVE, np.zeros((0, 2)), supported_m=supported_m)
     assert to.plan_from_msgs(*to.plan_to_msgs(plan, STAMP), 7).supported_m == back_m
 

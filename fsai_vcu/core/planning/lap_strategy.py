@@ -109,7 +109,7 @@ class LapStrategy:
             confidence = clear * free * within * course.confidence
             course = replace(
                 course,
-                supported_m=min(course.supported_m, until_m),
+                supported_m=min(course.supported_m, max(until_m - self._nose_m, 0.0)),  # no part of the car passes it
                 confidence=confidence,
                 note="; ".join(filter(None, notes)),
             )
