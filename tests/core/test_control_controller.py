@@ -73,7 +73,7 @@ def path_of(*pieces: tuple[float, float]) -> np.ndarray:
 class Drive:
     """The controller on a simulated car, with a plan every 50 ms that is as old when it comes; looked at every 10 ms.
 
-    every: ticks of 10 ms from plan to plan, another number of them;
+    every: another number of ticks of 10 ms from plan to plan;
     noise_m: the paths of successive plans move and bend by so much; stop_m: the stopping place; more: fields of every
     plan, or functions that return them of the place. Both are metres along the path.
     """

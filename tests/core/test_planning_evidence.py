@@ -365,9 +365,8 @@ def test_between_the_last_cones_of_a_border_no_way_is_borne_out(
     along = np.arange(0.0, 10.0, 3.0)
     rows = [np.column_stack((along, np.full(4, y))) for y in (1.5, -1.5)]
     xy = np.vstack((*rows, [last], np.array(further).reshape(-1, 2)))
-    hue = np.repeat(
-        [int(ConeColor.BLUE), int(ConeColor.YELLOW), int(color), int(ConeColor.BLUE)], (4, 4, 1, len(further))
-    )
+    blue, yellow = int(ConeColor.BLUE), int(ConeColor.YELLOW)
+    hue = np.repeat([blue, yellow, int(color), blue], (4, 4, 1, len(further)))
     cones = Cones(xy, hue, np.zeros(len(xy)), np.arange(len(xy)))
     assert until_border_m(SURE, cones, 1.5) == until_m
     assert until_border_m(replace(SURE, path_m=NO_PATH), cones, 1.5) == math.inf

@@ -89,9 +89,7 @@ class Controller:
         self._line: PathLine | None = None
         self._profile: Floats | None = None
         self._sight = Sight()
-        self._sight_end_m = (
-            math.inf
-        )  # along the line: there the rear axle is when the front wheels are where sight ends
+        self._sight_end_m = math.inf  # along the line, of the rear axle when the front wheels are where sight ends
         self._bend_1pm = 0.0  # of the line up to there
         self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; as the wheels turn now
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
@@ -268,13 +266,11 @@ class Controller:
         if plan.finished and there_now and self._ending_since_ns is None:
             self._ending_since_ns = now_ns
         if plan is not self._planned:
-            age_s = (now_ns - (self._planned or plan).t_sensor_ns) / 1e9
+            oldest_s = (now_ns - (self._planned or plan).t_sensor_ns) / 1e9  # the plan before was, until this one came
             self._planned, self._line = plan, line_of(np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2))
-            self._profile = (
-                None
-                if self._line is None
-                else self._profile_of(plan, self._line, speed, there.distance_m, driven, age_s)
-            )
+            self._profile = None
+            if self._line is not None:
+                self._profile = self._profile_of(plan, self._line, speed, there.distance_m, driven, oldest_s)
         line = self._line
         if line is None:
             return self._no_way(motion, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
@@ -312,11 +308,12 @@ class Controller:
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
     def _profile_of(
-        self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float, age_s: float
+        self, plan: Plan, line: PathLine, speed: float, seen_from_m: float, driven_m: float, oldest_s: float
     ) -> Floats:
         """Square of the speed along the line.
 
-        The plan is of the place `seen_from_m`, the car `driven_m` further; the plan before it was so old when it came.
+        The plan is of the place `seen_from_m`, the car `driven_m` further. When it came, the plan before it was
+        `oldest_s` old.
         """
         settings, car = self._settings, self._car
         here = line.beside(0.0, 0.0)[0]
@@ -348,7 +345,7 @@ class Controller:
             return slowest
         supported_m = plan.supported_m if math.isfinite(plan.supported_m) else float(line.along_m[-1]) - here
         sight_m = supported_m - car.wheelbase_m + BEYOND_CONES_M
-        self._sight.look(plan.confidence, supported_m, sight_m, seen_from_m, age_s)
+        self._sight.look(plan.confidence, supported_m, sight_m, seen_from_m, oldest_s)
         braking = settings.sight_braking_mps2
         # A bend that opens takes more of the grip at first, when the car is fastest.
         bends = [
@@ -470,10 +467,9 @@ class Controller:
         """
         grip_mps2 = 0.5 * (self._settings.sight_braking_mps2 + self._settings.sight_braking_max_mps2)
         left_m = max(self._sight_end_m - here_m - speed * self._settings.reaction_s, 0.0)
-        slow_m, stop_m = (
-            stopping_m(each * each, self._bend_1pm, grip_mps2) for each in (min(speed, FEEL_ITS_WAY_MPS), speed)
-        )
-        needed_m = stop_m - slow_m
+        slow_mps = min(speed, FEEL_ITS_WAY_MPS)
+        stop_m = stopping_m(speed * speed, self._bend_1pm, grip_mps2)
+        needed_m = stop_m - stopping_m(slow_mps * slow_mps, self._bend_1pm, grip_mps2)
         return -grip_mps2 * needed_m / max(left_m, 0.1) if needed_m > left_m else math.inf
 
     def _no_way(self, motion: Motion, why: str) -> tuple[float, float]:

@@ -32,7 +32,8 @@ KNOWN_MOST = 0.9  # with a smaller share only cones that most looks find make th
 IN_LANE_M, IN_LANE_SHARE = 0.7, 0.4  # a cone so near to the path stands in the lane: so much confidence each leaves
 CROSSED_SHARE = 0.2  # of confidence, left where the path crosses a border: between cones of one …
 BORDER_APART_M = 5.0  # … at most so far apart
-WIDER_M, FURTHER_ON_M = 0.7, 1.0  # cones so much further off than the lane's border border no path; further along it
+WIDER_M = 0.7  # a cone further beyond the lane's half width than that stands at no border of the path
+FURTHER_ON_M = 1.0  # a cone at a border so far beyond two others shows that the path goes on between borders
 # A cone that contradicts the lane by so much has a wrong colour, where so few and so small a share of all do.
 CONTRARY, MISTAKEN_MOST, MISTAKEN_SHARE = 0.1, 2, 0.2
 BEYOND_COS = 0.7  # of the angle between the way from a path to a cone and that on to one beyond it
