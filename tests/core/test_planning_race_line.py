@@ -19,9 +19,9 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion, Plan
 from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
-from fsai_vcu.core.planning.pose import lengths_along, ring_curvature, to_odometry
+from fsai_vcu.core.planning.pose import NO_PATH, lengths_along, ring_curvature, to_odometry
 from fsai_vcu.core.planning.race_line import CONE_RADIUS_M, MARGIN_M, LineSearch, RaceLine
-from fsai_vcu.core.planning.racing import BEYOND_M, NOT_ON_LINE, joining, way_onto
+from fsai_vcu.core.planning.racing import BEYOND_M, NOT_ON_LINE, ON_LINE, joining, way_onto
 
 OVAL, WINDING = small_oval(), random_circuit(1)
 
@@ -205,6 +205,37 @@ def test_a_cone_seen_on_the_line_outranks_the_map() -> None:
     move_cone(ride, 9.0, 1.2)
     plans = [ride.step() for _ in range(4)]
     assert not plans[-1].mapped and "cone" in plans[-1].note
+
+
+def test_a_car_far_beside_the_middle_leaves_the_line_unlost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One look with a cone on the line: the path goes on from where the car is, and comes into the lane."""
+    ride, _ = mapped()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+
+    def aside_m() -> float:
+        return float(np.hypot(*(OVAL.centreline_m - (ride.pose.x_m, ride.pose.y_m)).T).min())
+
+    while aside_m() < 0.6:
+        assert ride.step().mapped
+    with monkeypatch.context() as changed:
+        changed.setattr(racing, "_along_line", lambda *_: (NO_PATH, ON_LINE))
+        plans = [ride.step()]
+    while not plans[-1].mapped:
+        plans.append(ride.step())
+    assert len(plans) > 5 and not any(plan.lost for plan in plans) and min(plan.confidence for plan in plans) > 0.8
+    assert max(math.hypot(*plan.path_m[0]) for plan in plans) < 0.3  # not beside the car
+
+
+def test_a_car_out_of_its_lane_does_not_leave_the_line_for_it() -> None:
+    ride, _ = mapped()
+    racing: Any = ride.planner._strategy
+    racing = racing._racing
+    racing._leaving = True
+    lane = np.column_stack((np.arange(0.0, 15.0, STEP_M), np.full(30, 1.2)))
+    assert racing.into_lane(lane, 2.5, ride.motion)[0] == pytest.approx([0.0, 0.0], abs=0.01)
+    racing._into_lane = None
+    assert racing.into_lane(lane, 1.9, ride.motion) is lane
 
 
 def test_a_car_that_races_goes_on_by_a_line_laid_anew(monkeypatch: pytest.MonkeyPatch) -> None:

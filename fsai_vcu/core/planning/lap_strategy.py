@@ -100,6 +100,8 @@ class LapStrategy:
             else:
                 borders = np.ones(len(sure), dtype=bool) if self._known > KNOWN_MOST else sure
                 course, stands[borders] = self._lane(memory, cones.only(borders), motion, middle)
+            if racing is not None:
+                course = replace(course, path_m=racing.into_lane(course.path_m, self._half_width_m, motion))
             clear, unknown = self._clear_of_false(cones, sure_xy_m, seen_xy_m)
             free, blocked = free_of_cones(course, sure_xy_m)  # along the race line the map itself is held against cones
             standing, known = cones.only(sure), unmistaken(cones.side, stands)[sure]

@@ -12,8 +12,8 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import LapState
 from fsai_vcu.core.planning.cone_map import LOST_M, ConeMap
 from fsai_vcu.core.planning.lane import BACKWARD_M
-from fsai_vcu.core.planning.pose import NO_PATH, to_odometry
-from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
+from fsai_vcu.core.planning.pose import NO_PATH, headings_along, to_odometry
+from fsai_vcu.core.planning.race_line import CONE_RADIUS_M, LineSearch, RaceLine, clear
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.planning.slip import Slip
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -53,6 +53,8 @@ class Racing:
         self._next_line: RaceLine | None = None  # laid again: it follows once the car can come onto it
         self._joined_at: int | None = None
         self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
+        self._leaving = False  # the car has left the line, and is not in the middle of the lane yet
+        self._into_lane: tuple[Floats, float] | None = None  # offsets of the path from the lane's, and from where on
         self._steady = 0
         self._searched_at_m = motion.distance_m
         self._unclosed = ""
@@ -117,8 +119,35 @@ class Racing:
         self._look_for_line(here)
         path, self.note = self._along_line(cones_xy_m, here)
         if self.note:
+            self._leaving |= self._joined_at is not None
             self._joined_at, self._steady = None, 0
+        elif len(path):
+            self._leaving, self._into_lane = False, None
         return path
+
+    def into_lane(self, path_m: Floats, half_width_m: float, here: Motion) -> Floats:
+        """(M, 2) the lane's path (vehicle frame), but from where the car has left the race line beside it.
+
+        Over the way in which a car joins the line it comes onto the lane's path. A car that is out of the lane does not.
+        """
+        if not self._leaving or len(path_m) < 2:
+            return path_m
+        step_m = self._settings.path_step_m
+        cos, sin = headings_along(path_m)
+        first = int(np.hypot(path_m[:, 0], path_m[:, 1]).argmin())
+        if self._into_lane is None:
+            left_m = float(path_m[first, 0] * sin[first] - path_m[first, 1] * cos[first])
+            turned_rad = -math.atan2(float(sin[first]), float(cos[first]))
+            room_m = half_width_m - 0.5 * self._car.width_m - CONE_RADIUS_M
+            if abs(left_m) > room_m or abs(turned_rad) > TURNED_RAD:
+                return path_m
+            way = joining(left_m, turned_rad, 0.0, JOINING_M + JOINING_S * here.speed_mps, step_m)
+            self._into_lane = way.clip(-room_m, room_m), here.distance_m
+        way, begun_m = self._into_lane
+        left = np.append(way[round((here.distance_m - begun_m) / step_m) :], 0.0)
+        self._leaving = len(left) > 1
+        at = (np.arange(len(path_m)) - first).clip(0, len(left) - 1)
+        return np.asarray(path_m + left[at, None] * np.column_stack((-sin, cos)))
 
     def middle(self, here: Motion) -> Floats | None:
         """(M, 2) the lane's middle by the map, in the vehicle frame, from behind the car on; None without a line."""
