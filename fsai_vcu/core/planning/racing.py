@@ -128,7 +128,7 @@ class Racing:
     def into_lane(self, path_m: Floats, half_width_m: float, here: Motion) -> Floats:
         """(M, 2) the lane's path (vehicle frame), but from where the car has left the race line beside it.
 
-        Over the way in which a car joins the line it comes onto the lane's path. A car that is out of the lane does not.
+        Over the way in which a car joins the line it comes onto the lane's path. One out of the lane does not.
         """
         if not self._leaving or len(path_m) < 2:
             return path_m
