@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -73,7 +74,7 @@ def path_of(*pieces: tuple[float, float]) -> np.ndarray:
 class Drive:
     """The controller on a simulated car, with a plan every 50 ms that is as old when it comes; looked at every 10 ms.
 
-    every: another number of ticks of 10 ms from plan to plan;
+    every: another number of ticks of 10 ms from plan to plan; silent_from_m: none is sent beyond that place;
     noise_m: the paths of successive plans move and bend by so much; stop_m: the stopping place; more: fields of every
     plan, or functions that return them of the place. Both are metres along the path.
     """
@@ -83,10 +84,11 @@ class Drive:
         path: np.ndarray,
         settings: ControllerSettings,
         noise_m: float = 0.0,
-        ahead_m: float = 20.0,
+        ahead_m: float | Callable[[float], float] = 20.0,
         mission: Ami = RUN.mission,
         stop_m: float | None = None,
         every: int = 5,
+        silent_from_m: float = math.inf,
         **more: Any,
     ) -> None:
         run = replace(RUN, mission=mission)
@@ -105,8 +107,9 @@ class Drive:
             at += float(((head - (truth.pose.x_m, truth.pose.y_m)) ** 2).sum(axis=1).argmin())
             if at > len(fine) - 80 or (command.brake > 0.0 and speed == 0.0):
                 break
-            if tick % every == 0:
-                ahead = path[int(at) // 10 :][: round(ahead_m / 0.5)]
+            if tick % every == 0 and at * 0.05 < silent_from_m:
+                length_m = ahead_m(at * 0.05) if callable(ahead_m) else ahead_m
+                ahead = path[int(at) // 10 :][: round(length_m / 0.5)]
                 seen = np.column_stack(truth.pose.seen(*ahead.T))
                 s, (a, b, c) = np.arange(len(seen)) / 40.0, chance.normal(0.0, noise_m, 3)
                 seen[:, 1] += a + 2.0 * b * s + c * np.sin(8.0 * s)
@@ -438,6 +441,36 @@ def test_where_sight_ends_in_a_bend_the_car_stops_within_it(radius_m: float) -> 
     beyond = drive.along_m > 65.0 - CAR.wheelbase_m + BEYOND_CONES_M
     assert drive.speed_mps[drive.along_m > 50.0].max() > SETTINGS.careful_mps
     assert beyond.any() and drive.speed_mps[beyond].max() < FEEL_ITS_WAY_MPS + 0.5
+
+
+NO_PATH_FROM = {"ahead_m": lambda at_m: 20.0 * (at_m < 55.0)}
+
+
+@pytest.mark.parametrize(
+    ("ends", "radius_m"),
+    [(NO_PATH_FROM, 1e9), ({"silent_from_m": 55.0}, 1e9), (NO_PATH_FROM, 25.0)],
+    ids=["no path", "no plan", "no path in a bend"],
+)
+def test_a_car_by_sight_stops_within_what_it_last_saw(ends: dict[str, Any], radius_m: float) -> None:
+    """Though nothing tells it the way any more: the speed was earned by that."""
+    drive = Drive(path_of((45.0, 0.0), (50.0, 1.0 / radius_m)), SETTINGS, supported_m=SEEN_M, **ends)
+    assert drive.speed_mps[drive.along_m > 50.0].max() > SETTINGS.careful_mps
+    beyond = drive.along_m > 55.0 + SEEN_M - CAR.wheelbase_m + BEYOND_CONES_M
+    assert drive.speed_mps[beyond].max(initial=0.0) < FEEL_ITS_WAY_MPS + 0.5 and drive.speed_mps[-1] < 0.1
+
+
+def test_a_look_that_finds_no_path_is_the_shortest_sight() -> None:
+    drive = Drive(
+        path_of((90.0, 0.0)), SETTINGS, supported_m=SEEN_M, ahead_m=lambda at_m: 0.0 if 60.0 < at_m < 60.6 else 20.0
+    )
+    after = (drive.along_m > 61.0) & (drive.along_m < 66.0)
+    assert drive.speed_mps[after].min() < stopping_mps(SEEN_M) - 1.0
+
+
+def test_more_than_a_path_is_not_borne_out() -> None:
+    """A planner of another team may say so."""
+    drive = Drive(path_of((90.0, 0.0)), SETTINGS, ahead_m=10.0, supported_m=50.0)
+    assert drive.speed_mps.max() < stopping_mps(10.0) + 0.1
 
 
 def test_a_car_that_was_lost_is_careful_as_from_its_start() -> None:

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
+from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
 from fsai_vcu.core.planning.course import (
     DOUBTED_M,
@@ -27,6 +28,7 @@ from fsai_vcu.core.planning.course import (
 )
 from fsai_vcu.core.planning.lap_strategy import (
     MISTAKEN_MOST,
+    LapStrategy,
     free_of_cones,
     other_lanes,
     unmistaken,
@@ -150,6 +152,17 @@ def test_where_the_way_is_another_one_it_is_borne_out_so_far(mapped: bool) -> No
     assert course.note == "the way ahead is another one than a moment ago"
     driven_m = SPEED_MPS * LOOK_NS / 1e9
     assert course.supported_m == pytest.approx(SURE.supported_m - driven_m if mapped else 2.2, abs=0.3)
+
+
+def test_far_ahead_another_way_is_no_doubt_but_ends_what_is_borne_out() -> None:
+    """Aside from 8 m on, where the car could stop before. A look without a way between the two changes nothing."""
+    aside, nothing = STRAIGHT.copy(), replace(SURE, path_m=NO_PATH, supported_m=0.0, confidence=0.0)
+    aside[:, 1] += np.maximum(aside[:, 0] - 8.0, 0.0)
+    for between in ([], [nothing]):
+        evidence, motions = Evidence(), looks(2.0)
+        for course in (*[SURE] * 20, *between, replace(SURE, path_m=aside)):
+            found = evidence.judged(course, next(motions))
+        assert found.supported_m == pytest.approx(9.4, abs=0.3) and found.confidence == 1.0
 
 
 def test_a_way_kept_in_doubt_is_borne_out_no_further_than_before() -> None:
@@ -355,22 +368,44 @@ LAST = (12.0, 1.2)  # beside the path, with the last one of the right border 9 m
         ((12.0, -1.2), ConeColor.YELLOW, (), math.inf),
         ((12.0, 2.4), ConeColor.YELLOW, (), math.inf),  # another lane's
         ((13.3, 1.2), ConeColor.YELLOW, (), math.inf),  # too far from the one before
-        (LAST, ConeColor.YELLOW, ((14.0, 1.5),), math.inf),  # it has a wrong colour: the lane goes on
-        (LAST, ConeColor.YELLOW, ((14.0, 3.0),), 10.5),
+        (LAST, ConeColor.YELLOW, ((14.0, 1.5, ConeColor.BLUE),), math.inf),  # it has a wrong colour: the lane goes on
+        (LAST, ConeColor.YELLOW, ((14.0, 3.0, ConeColor.BLUE),), 10.5),
+        (LAST, ConeColor.YELLOW, ((14.0, 1.5, ConeColor.YELLOW),), 10.5),  # left of the path it vouches for no lane
     ],
 )
 def test_between_the_last_cones_of_a_border_no_way_is_borne_out(
-    last: tuple[float, float], color: ConeColor, further: tuple[tuple[float, float], ...], until_m: float
+    last: tuple[float, float], color: ConeColor, further: tuple[tuple[float, float, ConeColor], ...], until_m: float
 ) -> None:
     along = np.arange(0.0, 10.0, 3.0)
     rows = [np.column_stack((along, np.full(4, y))) for y in (1.5, -1.5)]
-    xy = np.vstack((*rows, [last], np.array(further).reshape(-1, 2)))
+    xy = np.vstack((*rows, [last], *[cone[:2] for cone in further]))
     blue, yellow = int(ConeColor.BLUE), int(ConeColor.YELLOW)
-    hue = np.repeat([blue, yellow, int(color), blue], (4, 4, 1, len(further)))
+    hue = np.array([*4 * [blue], *4 * [yellow], color, *[cone[2] for cone in further]])
     cones = Cones(xy, hue, np.zeros(len(xy)), np.arange(len(xy)))
-    assert until_border_m(SURE, cones, 1.5) == until_m
-    assert until_border_m(replace(SURE, path_m=NO_PATH), cones, 1.5) == math.inf
-    assert until_border_m(SURE, cones.only(np.zeros(len(xy), dtype=bool)), 1.5) == math.inf
+    assert until_border_m(SURE, cones, 1.5, 0.0) == until_m
+    # The car may stand so far beyond what is borne out.
+    assert until_border_m(replace(SURE, supported_m=9.5), cones, 1.5, 2.0) == until_m
+    assert until_border_m(replace(SURE, supported_m=9.5), cones, 1.5, 0.0) == math.inf
+    assert until_border_m(replace(SURE, path_m=NO_PATH), cones, 1.5, 0.0) == math.inf
+    assert until_border_m(SURE, cones.only(np.zeros(len(xy), dtype=bool)), 1.5, 0.0) == math.inf
+
+
+@pytest.mark.parametrize(("at_m", "note"), [(0.0, ""), (9.0, "the way crosses the border at the last cones")])
+def test_the_nose_stops_before_the_last_two_cones_of_a_border(at_m: float, note: str) -> None:
+    """The path goes straight on between them; the car is told so only when its nose is there."""
+    strategy = LapStrategy(CARS["2026"], PlannerSettings(), MissionSettings(), 1)
+    along = np.arange(0.0, 10.0, 3.0)
+    xy = np.vstack((*(np.column_stack((along, np.full(4, y))) for y in (1.5, -1.5)), [LAST]))
+    color = np.repeat((int(ConeColor.BLUE), int(ConeColor.YELLOW)), (4, 5))
+    here = Motion(0, at_m, 0.0, 0.0, 1.0, 0.0, at_m)
+    memory = ConeMemory(PlannerSettings())
+    for look in range(4):
+        here = replace(here, t_ns=look * LOOK_NS)
+        memory.add(to_vehicle(here, xy), color, here)
+    strategy._lane = lambda *_: (SURE, np.zeros(len(xy)))  # type: ignore[method-assign]
+    course = strategy.plan(memory, to_vehicle(here, xy), here)
+    assert course.supported_m == pytest.approx(max(0.0, 10.5 - at_m - CARS["2026"].nose_ahead_of_rear_axle_m), abs=0.3)
+    assert (course.confidence < FLOOR) == bool(note) and course.note == note
 
 
 def test_a_lane_that_many_colours_contradict_crosses_a_border() -> None:
@@ -419,7 +454,7 @@ def test_of_ever_so_many_cones_the_nearest_are_looked_at() -> None:
     tracemalloc.start()
     try:
         assert within_borders(ASTRAY, many, side) == CROSSES
-        until_border_m(ASTRAY, Cones(many, np.where(side > 0.0, 1, 2), side, np.arange(len(side))), 1.5)
+        until_border_m(ASTRAY, Cones(many, np.where(side > 0.0, 1, 2), side, np.arange(len(side))), 1.5, 0.0)
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:
         tracemalloc.stop()

@@ -14,7 +14,7 @@ from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning import lane as finder
 from fsai_vcu.core.planning.cone_memory import Cones
 from fsai_vcu.core.planning.lane import Known, find_lane
-from fsai_vcu.core.planning.lap_strategy import crossed
+from fsai_vcu.core.planning.lap_strategy import crossings
 from fsai_vcu.core.planning.settings import PlannerSettings
 
 SETTINGS = PlannerSettings()
@@ -393,7 +393,7 @@ def test_a_bend_sharper_than_most_agrees_with_the_colours(mirror: float) -> None
     cones = replace(cones_of([*blue, *yellow], side.tolist()), color=color)
     lane = find_lane(cones, Known(0.0, HALF, 14.0), 0.0, SETTINGS)
     borders = np.array((blue[:3], yellow[:3]))
-    assert not any(crossed(lane.path_m, border[:-1], border[1:]).any() for border in borders)
+    assert not any(crossings(lane.path_m, border[:-1], border[1:]).any() for border in borders)
     assert lane.supported_m > 8.0
 
 

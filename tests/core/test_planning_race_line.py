@@ -19,9 +19,19 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion, Plan
 from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
-from fsai_vcu.core.planning.pose import NO_PATH, lengths_along, ring_curvature, to_odometry
+from fsai_vcu.core.planning.pose import NO_PATH, lengths_along, ring_curvature, to_odometry, to_vehicle
 from fsai_vcu.core.planning.race_line import CONE_RADIUS_M, MARGIN_M, LineSearch, RaceLine
-from fsai_vcu.core.planning.racing import BEYOND_M, NOT_ON_LINE, ON_LINE, joining, way_onto
+from fsai_vcu.core.planning.racing import (
+    BEYOND_M,
+    JOINING_M,
+    JOINING_S,
+    NOT_ON_LINE,
+    ON_LINE,
+    Racing,
+    joining,
+    way_onto,
+)
+from fsai_vcu.core.planning.settings import PlannerSettings
 
 OVAL, WINDING = small_oval(), random_circuit(1)
 
@@ -227,15 +237,70 @@ def test_a_car_far_beside_the_middle_leaves_the_line_unlost(monkeypatch: pytest.
     assert max(math.hypot(*plan.path_m[0]) for plan in plans) < 0.3  # not beside the car
 
 
-def test_a_car_out_of_its_lane_does_not_leave_the_line_for_it() -> None:
+HALF_WIDTH_M = 1.75
+ROOM_M = HALF_WIDTH_M - 0.5 * CAR.width_m - CONE_RADIUS_M
+
+
+def left_line() -> Racing:
+    """Of a car that has just left its race line."""
+    racing = Racing(CAR, PlannerSettings(), Motion())
+    racing._leaving = True
+    return racing
+
+
+def straight_lane(left_m: float, turned_rad: float, driven_m: float = 0.0) -> Floats:
+    """The middle of a straight lane, for a car so far left of it and turned to the left; it began as far behind."""
+    along = np.arange(0.0, 30.0, STEP_M) + driven_m
+    return to_vehicle(Motion(0, driven_m, left_m, turned_rad), np.column_stack((along, np.zeros(len(along)))))
+
+
+@pytest.mark.parametrize("left_m", [-0.6, 0.0, 0.6])
+@pytest.mark.parametrize("turned_rad", [-0.1, 0.0, 0.05])
+def test_from_the_race_line_the_path_comes_into_the_lane(left_m: float, turned_rad: float) -> None:
+    racing, motion = left_line(), Motion(speed_mps=8.0)
+    lane = straight_lane(left_m, turned_rad)
+    path = racing.into_lane(lane, HALF_WIDTH_M, motion)
+    assert path[0] == pytest.approx([0.0, 0.0], abs=0.02)
+    assert math.atan2(*(path[1] - path[0])[::-1]) == pytest.approx(0.0, abs=0.06)  # as the car points
+    way_m = JOINING_M + JOINING_S * motion.speed_mps
+    aside = np.hypot(*(path - lane).T)
+    assert aside.max() < ROOM_M + 0.01 and aside[round(way_m / STEP_M) + 1] == 0.0
+    # Further on the path is where it was: a car that follows it has come nearer to the middle.
+    half = round(0.5 * way_m / STEP_M)
+    later = racing.into_lane(lane[half:] - lane[half], HALF_WIDTH_M, replace(motion, distance_m=half * STEP_M))
+    assert later[: len(path) - half] == pytest.approx(path[half:] - lane[half], abs=0.05)
+    racing.into_lane(lane, HALF_WIDTH_M, replace(motion, distance_m=way_m + 1.0))
+    assert racing.into_lane(lane, HALF_WIDTH_M, motion) is lane  # it has come
+
+
+@pytest.mark.parametrize(
+    ("left_m", "turned_rad"),
+    [(1.0, 0.0), (0.5, 0.3), (0.0, 0.6), (-0.7, 0.55)],
+    ids=["beside", "nose", "turned", "inward"],
+)
+def test_a_car_out_of_its_lane_gets_no_way_into_it(left_m: float, turned_rad: float) -> None:
+    racing, lane = left_line(), straight_lane(left_m, turned_rad)
+    assert racing.into_lane(lane, HALF_WIDTH_M, Motion(speed_mps=8.0)) is lane
+    # Another one that is found later has nothing to do with the race line.
+    beside = straight_lane(0.5, 0.0)
+    assert racing.into_lane(beside, HALF_WIDTH_M, Motion(speed_mps=8.0)) is beside
+
+
+def test_an_older_look_finds_the_way_into_the_lane_begun() -> None:
+    racing, lane = left_line(), straight_lane(0.6, 0.0)
+    path = racing.into_lane(lane, HALF_WIDTH_M, Motion(speed_mps=8.0, distance_m=100.0))
+    assert (racing.into_lane(lane, HALF_WIDTH_M, Motion(speed_mps=8.0, distance_m=99.0)) == path).all()
+
+
+def test_a_line_laid_in_the_look_that_ends_the_race_is_left_too(monkeypatch: pytest.MonkeyPatch) -> None:
     ride, _ = mapped()
     racing: Any = ride.planner._strategy
     racing = racing._racing
-    racing._leaving = True
-    lane = np.column_stack((np.arange(0.0, 15.0, STEP_M), np.full(30, 1.2)))
-    assert racing.into_lane(lane, 2.5, ride.motion)[0] == pytest.approx([0.0, 0.0], abs=0.01)
-    racing._into_lane = None
-    assert racing.into_lane(lane, 1.9, ride.motion) is lane
+    assert ride.step().mapped
+    racing._next_line = racing._line
+    monkeypatch.setattr(racing, "_along_line", lambda *_: (NO_PATH, ON_LINE))
+    ride.step()
+    assert racing._leaving
 
 
 def test_a_car_that_races_goes_on_by_a_line_laid_anew(monkeypatch: pytest.MonkeyPatch) -> None:

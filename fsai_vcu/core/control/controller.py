@@ -18,7 +18,7 @@ import numpy as np
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.pace import Pace, Signs, axle_slip
-from fsai_vcu.core.control.path_tracking import PathLine, line_of, steering_rate
+from fsai_vcu.core.control.path_tracking import STEP_M, PathLine, line_of, steering_rate
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import BEYOND_CONES_M, Sight, stopping_m
 from fsai_vcu.core.control.speed_profile import braking_share, speed_profile
@@ -271,6 +271,8 @@ class Controller:
             self._profile = None
             if self._line is not None:
                 self._profile = self._profile_of(plan, self._line, speed, there.distance_m, driven, oldest_s)
+            else:  # the shortest sight that there is
+                self._sight.look(0.0, 0.0, 0.0, there.distance_m, oldest_s)
         line = self._line
         if line is None:
             return self._no_way(motion, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
@@ -300,11 +302,11 @@ class Controller:
             self._note = "the path ends and is not believed to go on" + (f": {plan.note}" if plan.note else "")
         if age_s > settings.plan_old_s:
             self._note = f"the plan is {age_s:.1f} s old"
-        if age_s > settings.plan_lost_s:
-            return 0.0, settings.gentle_brake
         askew = math.remainder(course - float(np.interp(station, line.along_m, line.heading_rad)), 2.0 * math.pi)
         late = not plan.mapped and abs(curvature) > ASKEW_1PM and abs(askew) > ASKEW_RAD and speed > ASKEW_MPS
         throttle, brake = self._accelerate(line, station - travel, motion, late, now_ns)
+        if age_s > settings.plan_lost_s:
+            return 0.0, max(brake, settings.gentle_brake)
         return 0.0 if plan.finished or age_s > settings.plan_old_s else throttle, brake
 
     def _profile_of(
@@ -343,7 +345,8 @@ class Controller:
         if known or allowed == most or plan.lost:
             self._sight = Sight()
             return slowest
-        supported_m = plan.supported_m if math.isfinite(plan.supported_m) else float(line.along_m[-1]) - here
+        # Resampled, a path is up to a step shorter, and its first point up to half a step behind the car.
+        supported_m = min(plan.supported_m, float(line.along_m[-1]) - here + 1.5 * STEP_M)
         sight_m = supported_m - car.wheelbase_m + BEYOND_CONES_M
         self._sight.look(plan.confidence, supported_m, sight_m, seen_from_m, oldest_s)
         braking = settings.sight_braking_mps2
@@ -477,8 +480,20 @@ class Controller:
         self._braking, self._note = True, why
         self._pace = self._pace.taken_back(motion.distance_m)
         self._acceleration_mps2 = 0.0
-        ending = self._ending_since_ns is not None
-        return 0.0, self._end_brake(motion.speed_mps) if ending else self._settings.gentle_brake
+        if self._ending_since_ns is not None:
+            return 0.0, self._end_brake(motion.speed_mps)
+        return 0.0, max(self._settings.gentle_brake, self._sight_brake(motion))
+
+    def _sight_brake(self, motion: Motion) -> float:
+        """Return the brake by which a car that drives by sight stops within it, by what the bend leaves; 0 for others.
+
+        Slow, it need not.
+        """
+        speed = motion.speed_mps
+        if self._sight_end_m == math.inf or speed < FEEL_ITS_WAY_MPS:
+            return 0.0
+        used = speed * abs(motion.yaw_rate_radps) / (LEFT_FOR_SURPRISES * GRIP_MPS2)
+        return brake_for(self._car, self._settings.sight_braking_mps2 * braking_share(used), speed)
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)

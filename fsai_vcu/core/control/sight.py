@@ -13,8 +13,8 @@ import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 
-# A look bears out the path well with such a confidence (more than displaced cones leave at worst), so long a supported
-# path, and so little way since the last one.
+# A look bears out the path well with such a confidence (displaced cones leave 0.8 at worst: `DOUBT_BY_CONES`), so long
+# a supported path, and so little way since the last one.
 CLEAR, CLEAR_M, CLEAR_APART_M = 0.81, 9.0, 1.5
 CLEAR_OVER_M = 15.0  # of way, on which the looks must have done so …
 CLEAR_AGAIN_M = 8.0  # … or of less, after a doubt on a path that was driven by sight, …
@@ -22,8 +22,9 @@ CLEAR_AGAIN_M = 8.0  # … or of less, after a doubt on a path that was driven b
 UNSURE_MOST, DOUBTFUL = 0.25, 0.5
 STEADY_M = 4.0  # of way: cones come into sight one by one, and the speed follows the shortest sight among them
 UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look must not brake hard
-# So far beyond the last cones seen the front wheels may stop. On that way the sharpest lane, 3 m wide with a middle of
-# 2.9 m of radius, leads 0.4 m aside, and the wheels have 0.8 m; to the nose it leads 0.8 m, as much as there is.
+# So far beyond the last cones seen the front wheels may stop, and the rear axle before them. On that way the sharpest
+# lane, 3 m wide with a middle of 2.9 m of radius, leads 0.4 m aside, and the wheels have 0.8 m; to the nose it leads
+# 0.8 m, as much as there is.
 BEYOND_CONES_M = 1.5
 STRAIGHT_1PM = 1e-6
 
@@ -56,7 +57,7 @@ class Sight:
         self._driven: tuple[float, float] | None = None  # how far, and how fast, when the car last drove by sight
 
     def look(self, confidence: float, supported_m: float, sight_m: float, seen_from_m: float, age_s: float) -> None:
-        """Take in the next look, from a place so far driven; `age_s`: of the look before it, when it came."""
+        """Take in the next look, from a place so far driven; `age_s`: how old the last one was when it came."""
         lately = self._lately
         doubtful = confidence < DOUBTFUL or supported_m < CLEAR_M
         followed = bool(lately) and seen_from_m - lately[-1][0] <= CLEAR_APART_M

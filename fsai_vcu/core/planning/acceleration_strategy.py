@@ -8,7 +8,7 @@ from fsai_vcu.core.missions.acceleration import closed_at, finish_seen, follow_l
 from fsai_vcu.core.missions.course_fit import on_course
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import DOUBTFUL, Course, Fit, Sight, braking_m
+from fsai_vcu.core.planning.course import DOUBTFUL, Blind, Course, Fit, braking_m
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
@@ -32,12 +32,12 @@ class AccelerationStrategy:
         self._lane = staged(motion)
         self._stop_m = missions.acceleration_stop_max_m  # until the finish only the rules' limit counts
         self._finished = False
-        self._sight, self._fit = Sight(motion), Fit()
+        self._blind, self._fit = Blind(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         """Return the way along the lane, to the stop behind the finish."""
         cones = memory.around(motion)
-        lost = self._sight.lost(seen_xy_m, motion)
+        lost = self._blind.lost(seen_xy_m, motion)
         self._lane = lane = follow_lane(self._lane, motion, cones.xy_m)
         at, along_m = on_course(lane.pose, cones.xy_m), float(lane.pose[0])
         if along_m < self._finish_m:

@@ -74,7 +74,7 @@ class Strategy(Protocol):
         """The way on, after `memory` has taken in the cones seen (vehicle frame) from `motion`."""
 
 
-class Sight:
+class Blind:
     """Distance that the car has driven since cones were seen."""
 
     def __init__(self, motion: Motion) -> None:
@@ -108,7 +108,8 @@ class Evidence:
         self._why = ""
         self._lost = False
         self._clear_ns: int | None = None  # since when a lost car stands and the way is clear again
-        self._last: tuple[Course, Motion] | None = None
+        self._at_m: float | None = None  # how far driven at the last look
+        self._last: tuple[Course, Motion] | None = None  # the last course with a path
         self._trusted: tuple[Course, Motion] | None = None  # the last course that was not in doubt
 
     def judged(self, course: Course, motion: Motion) -> Course:
@@ -121,12 +122,14 @@ class Evidence:
             confidence=share * course.confidence,
             note="; ".join(filter(None, (why, course.note))),
         )
-        last, self._last = self._last, (course, motion)
+        driven_m = 0.0 if self._at_m is None else max(0.0, motion.distance_m - self._at_m)
+        self._at_m = motion.distance_m
+        if len(course.path_m) > 1:
+            self._last = course, motion
         if course.finished:
             return course
         news = course.confidence - self._sure
         self._sure += (NEWEST_FOR if news > 0.0 else NEWEST_AGAINST) * news
-        driven_m = 0.0 if last is None else max(0.0, motion.distance_m - last[1].distance_m)
         if self._sure >= FLOOR:
             self._doubted_m = max(0.0, self._doubted_m - 2.0 * driven_m)
         else:
@@ -151,16 +154,18 @@ class Evidence:
         if len(path) < 2:
             return 1.0, "", math.inf
         aside_m = float(np.hypot(path[:, 0], path[:, 1]).min())
-        if self._last is not None and self._last[0].mapped == course.mapped and len(self._last[0].path_m) > 1:
+        parting_m = math.inf
+        if self._last is not None and self._last[0].mapped == course.mapped:
             before = to_vehicle(motion, to_odometry(self._last[1], self._last[0].path_m))
             reach_m = DOUBTED_M + braking_m(motion.speed_mps, LOST_BRAKING_MPS2)
-            both_m = min(reach_m, float(lengths_along(before)[-1]) - DOUBTED_M)
             along_m = lengths_along(path)
-            asides_m = aside_m_of(path[along_m < both_m], before)
-            moved_m = float(asides_m.max(initial=0.0))
+            both_m = along_m[along_m < float(lengths_along(before)[-1]) - DOUBTED_M]
+            asides_m = aside_m_of(path[: len(both_m)], before)
+            moved_m = float(asides_m[both_m < reach_m].max(initial=0.0))
             self._moved_m += NEWEST_MOVED * (min(moved_m, MOVED_MOST_M) - self._moved_m)
-            if moved_m > TURNED_M:
+            if (asides_m > TURNED_M).any():
                 parting_m = float(along_m[int((asides_m > TURNED_M).argmax())])
+            if moved_m > TURNED_M:
                 return 0.0, "the way ahead is another one than a moment ago", parting_m
         radius_m = least_radius_of(path)
         if radius_m < self._least_radius_m - BENT_TOLERANCE_M:
@@ -169,14 +174,14 @@ class Evidence:
         share = (ASIDE_M[1] - aside_m) / (ASIDE_M[1] - ASIDE_M[0])
         moving = f"each look moves the way ahead, by {self._moved_m:.1f} m" if steady < DOUBTFUL else ""
         if share >= 1.0:
-            return steady, moving, math.inf
+            return steady, moving, parting_m
         note = f"the car is {aside_m:.1f} m beside its path"
         if self._too_tight is not None and motion.distance_m - self._too_tight[1] < BENT_M:
             self._stuck = aside_m >= STUCK_M
             note += (
                 f" in a bend of {self._too_tight[0]:.1f} m, tighter than the {self._least_radius_m:.1f} m it can turn"
             )
-        return steady * max(0.0, share), "; ".join(filter(None, (note, moving))), math.inf
+        return steady * max(0.0, share), "; ".join(filter(None, (note, moving))), parting_m
 
     def _clear(self, course: Course, motion: Motion) -> bool:
         """True once a lost car stands and each look of two seconds has shown the way."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from fsai_vcu.core.arrays import Bools, Floats
+from fsai_vcu.core.arrays import Bools, Floats, Ints
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import GATE_DEPTH_M, Circling, advance_laps, gate_middle, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -107,12 +107,16 @@ class LapStrategy:
             standing, known = cones.only(sure), unmistaken(cones.side, stands)[sure]
             side = np.where(other_lanes(standing, stands[sure], course.path_m), hues(standing), known)
             within, crossing = within_borders(course, sure_xy_m, side)
-            until_m = until_border_m(course, standing, self._half_width_m)
+            until_m = until_border_m(course, standing, self._half_width_m, self._nose_m)
+            if until_m <= self._nose_m and not crossing:
+                within, crossing = CROSSED_SHARE, "the way crosses the border at the last cones"
             notes = (doubt, unknown if clear < DOUBTFUL else "", blocked, crossing, course.note)
             confidence = clear * free * within * course.confidence
             course = replace(
                 course,
-                supported_m=min(course.supported_m, max(until_m - self._nose_m, 0.0)),  # no part of the car passes it
+                supported_m=min(
+                    course.supported_m, max(until_m - self._nose_m, 0.0)
+                ),  # where it stops, the nose does not pass it
                 confidence=confidence,
                 note="; ".join(filter(None, notes)),
             )
@@ -295,8 +299,8 @@ def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[flo
     nearest = away_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
     nearest = nearest[np.abs(side[nearest]) > EXPECTED]
     border, sign = sure_xy_m[nearest], np.sign(side[nearest])
-    one, other = np.nonzero(np.triu((gaps(border, border) < BORDER_APART_M) & (sign[:, None] == sign), 1))
-    apart = crossed(path, border[one], border[other])
+    one, other = neighbours(border, sign)
+    apart = crossings(path, border[one], border[other]).any(axis=0)
     accompanied = np.bincount(np.concatenate((one[~apart], other[~apart])), minlength=len(border)) > 0
     between = sign[one[apart & accompanied[one] & accompanied[other]]]
     if len(between):
@@ -304,37 +308,41 @@ def within_borders(course: Course, sure_xy_m: Floats, side: Floats) -> tuple[flo
     return 1.0, ""
 
 
-def until_border_m(course: Course, sure: Cones, half_width_m: float) -> float:
+def until_border_m(course: Course, sure: Cones, half_width_m: float, nose_m: float) -> float:
     """Return the length (m) of path up to where it passes between two cones of one colour that border it; inf if none.
 
-    There it leads out of the lane, or one of the two has a wrong colour. Cones that border it further on show the
-    latter; as long as none are seen, the path is not borne out beyond that place.
+    There it leads out of the lane, or one of the two has a wrong colour. Cones that border it further on, each on the
+    side of its colour, show the latter; as long as none are seen, the path is not borne out beyond that place.
+    nose_m: the car may stand so far beyond the end of what is borne out.
     """
-    along_m = lengths_along(course.path_m) if len(course.path_m) else np.zeros(0)
-    path = course.path_m[along_m <= course.supported_m]
+    path = course.path_m
     if len(path) < 2 or not len(sure.xy_m):
         return math.inf
-    away_m = gaps(sure.xy_m, path)
-    least_m, colour = away_m.min(axis=1), hues(sure)
+    along_m = lengths_along(path)
+    away_m, colour = gaps(sure.xy_m, path), hues(sure)
+    least_m, nearest = away_m.min(axis=1), away_m.argmin(axis=1)
     chosen = least_m.argsort(kind="stable")[:NEIGHBOURS_MOST]
     chosen = chosen[(least_m[chosen] < half_width_m + WIDER_M) & (colour[chosen] != 0.0)]
-    border, sign = sure.xy_m[chosen], colour[chosen]
-    one, other = np.nonzero(np.triu((gaps(border, border) < BORDER_APART_M) & (sign[:, None] == sign), 1))
+    border, sign, at = sure.xy_m[chosen], colour[chosen], nearest[chosen]
+    one, other = neighbours(border, sign)
     if not len(one):
         return math.inf
-    at_m = along_m[away_m[chosen].argmin(axis=1)]
-    last = np.maximum(at_m[one], at_m[other]) > at_m.max() - FURTHER_ON_M
-    parts = crossings(path, border[one[last]], border[other[last]]).any(axis=1)
-    return float(along_m[int(parts.argmax())]) if parts.any() else math.inf
+    off, (cos, sin) = border - path[at], headings_along(path)
+    own_side = (off[:, 1] * cos[at] - off[:, 0] * sin[at]) * sign > 0.0
+    last = np.maximum(along_m[at[one]], along_m[at[other]]) > along_m[at[own_side]].max(initial=0.0) - FURTHER_ON_M
+    reached = path[along_m <= course.supported_m + nose_m]
+    crossed = crossings(reached, border[one[last]], border[other[last]]).any(axis=1)
+    return float(along_m[int(crossed.argmax())]) if crossed.any() else math.inf
 
 
-def crossed(path_m: Floats, begin_m: Floats, end_m: Floats) -> Bools:
-    """(P,) whether a path (M, 2) crosses the line from one of the places (P, 2) to the other of the same row."""
-    return np.asarray(crossings(path_m, begin_m, end_m).any(axis=0))
+def neighbours(border_m: Floats, sign: Floats) -> tuple[Ints, Ints]:
+    """Pairs of cones, (P,) and (P,), that stand near to each other with one sign; border_m: (N, 2), sign: (N,)."""
+    one, other = np.nonzero(np.triu((gaps(border_m, border_m) < BORDER_APART_M) & (sign[:, None] == sign), 1))
+    return one, other
 
 
 def crossings(path_m: Floats, begin_m: Floats, end_m: Floats) -> Bools:
-    """(M - 1, P) whether the parts of a path (M, 2) cross these lines, as in `crossed`."""
+    """Crossings, (M - 1, P): true where a part of a path (M, 2) crosses the line between the places (P, 2) of a row."""
     step, line = np.diff(path_m, axis=0)[:, None], (end_m - begin_m)[None]
     to_begin, to_end = begin_m[None] - path_m[:-1, None], end_m[None] - path_m[:-1, None]
     after = to_begin - step

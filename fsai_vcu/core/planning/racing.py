@@ -116,19 +116,21 @@ class Racing:
 
         `cones_xy_m`: what was lately seen to stand around the car (vehicle frame): it outranks the map.
         """
+        on_line = self._joined_at is not None
         self._look_for_line(here)
         path, self.note = self._along_line(cones_xy_m, here)
         if self.note:
-            self._leaving |= self._joined_at is not None
+            self._leaving |= on_line
             self._joined_at, self._steady = None, 0
         elif len(path):
             self._leaving, self._into_lane = False, None
         return path
 
-    def into_lane(self, path_m: Floats, half_width_m: float, here: Motion) -> Floats:
-        """(M, 2) the lane's path (vehicle frame), but from where the car has left the race line beside it.
+    def into_lane(self, path_m: Floats, half_width_m: float, motion: Motion) -> Floats:
+        """The lane's path, (M, 2), vehicle frame; for a car that left the race line, one that begins at the car.
 
-        Over the way in which a car joins the line it comes onto the lane's path. One out of the lane does not.
+        Over the way in which a car joins the line it comes onto the lane's path. A car out of the lane, or one that
+        would come out of it on this way, gets the lane's path as it is.
         """
         if not self._leaving or len(path_m) < 2:
             return path_m
@@ -139,13 +141,19 @@ class Racing:
             left_m = float(path_m[first, 0] * sin[first] - path_m[first, 1] * cos[first])
             turned_rad = -math.atan2(float(sin[first]), float(cos[first]))
             room_m = half_width_m - 0.5 * self._car.width_m - CONE_RADIUS_M
-            if abs(left_m) > room_m or abs(turned_rad) > TURNED_RAD:
+            length_m = JOINING_M + JOINING_S * motion.speed_mps
+            ways = [joining(left_m, turned_rad, 0.0, share * length_m, step_m) for share in JOINING_SHARES]
+            way = min(ways, key=lambda way: max(WITHIN_M, float(np.abs(way).max()) - room_m))
+            nose_m = left_m + self._car.nose_ahead_of_rear_axle_m * math.sin(turned_rad)
+            in_lane = max(abs(left_m), abs(nose_m)) <= room_m and np.abs(way).max() <= room_m + BEYOND_M
+            if not in_lane or abs(turned_rad) > TURNED_RAD:
+                self._leaving = False
                 return path_m
-            way = joining(left_m, turned_rad, 0.0, JOINING_M + JOINING_S * here.speed_mps, step_m)
-            self._into_lane = way.clip(-room_m, room_m), here.distance_m
+            self._into_lane = way.clip(-room_m, room_m), motion.distance_m
         way, begun_m = self._into_lane
-        left = np.append(way[round((here.distance_m - begun_m) / step_m) :], 0.0)
-        self._leaving = len(left) > 1
+        left = np.append(way[max(0, round((motion.distance_m - begun_m) / step_m)) :], 0.0)
+        if len(left) == 1:
+            self._leaving, self._into_lane = False, None
         at = (np.arange(len(path_m)) - first).clip(0, len(left) - 1)
         return np.asarray(path_m + left[at, None] * np.column_stack((-sin, cos)))
 

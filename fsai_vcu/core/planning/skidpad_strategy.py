@@ -19,7 +19,7 @@ from fsai_vcu.core.missions.skidpad import (
     staged,
 )
 from fsai_vcu.core.planning.cone_memory import ConeMemory
-from fsai_vcu.core.planning.course import DOUBTFUL, Course, Fit, Sight
+from fsai_vcu.core.planning.course import DOUBTFUL, Blind, Course, Fit
 from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -40,7 +40,7 @@ class SkidpadStrategy:
     def anchor(self, motion: Motion) -> None:
         self._state = staged(motion)
         self._anchored_at_m = motion.distance_m
-        self._sight, self._fit = Sight(motion), Fit()
+        self._blind, self._fit = Blind(motion), Fit()
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         """Return the way along the figure of eight from where the cones show the car to be."""
@@ -49,7 +49,7 @@ class SkidpadStrategy:
         lane_in_m = self.LANE_IN_MAX_M - (motion.distance_m - self._anchored_at_m)
         if state.progress_m < self.SEARCHED_UNTIL_M:
             self._state = state = search_skidpad(course, state, seen_xy_m, lane_in_m)
-        lost = self._sight.lost(seen_xy_m, motion)
+        lost = self._blind.lost(seen_xy_m, motion)
         finished = state.progress_m >= course.finish_m
         if lost is not None and not finished:
             return lost
