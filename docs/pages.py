@@ -34,6 +34,7 @@ from fsai_vcu.core.planning.course import (
     MOVED_M,
     SLOWLY_M,
     SURE_AGAIN,
+    TURNED_M,
 )
 from fsai_vcu.core.supervision.config import TO_DO_UNSEEN, BridgeConfig, Reason
 from fsai_vcu.core.supervision.gate import LIMITERS
@@ -165,7 +166,8 @@ def give_up() -> str:
         f"\na border, or each look moves it (by more than {MOVED_M[0]:g} m in the mean, before the car could stop)."
         "\nWhere another way through the cones is nearly as good, the path counts as borne out only as far as both"
         "\nways are one, and confidence falls if they part before the car can stop; sooner without colours or among"
-        "\nfalse cones."
+        f"\nfalse cones. It counts, too, only up to where it leaves the path of the look before by {TURNED_M:g} m, and"
+        "\nup to where it passes between the last two cones of one colour that border it: there the car stops."
         "\nWhile its average over some looks is under"
         f"\n{FLOOR_AGAIN:g}, the car drives slowly, as if {SLOWLY_M:g} m of the path were borne out at most."
         "\nIf that average"
