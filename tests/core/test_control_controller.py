@@ -459,6 +459,25 @@ def test_a_car_by_sight_stops_within_what_it_last_saw(ends: dict[str, Any], radi
     assert drive.speed_mps[beyond].max(initial=0.0) < FEEL_ITS_WAY_MPS + 0.5 and drive.speed_mps[-1] < 0.1
 
 
+def test_without_a_way_brakes_have_what_the_bend_leaves_of_the_grip() -> None:
+    brakes = []
+    for yaw_rate_radps in (0.0, 0.4, 0.6, 0.9):
+        controller = reset_for(RUN, CAR, SETTINGS)
+        for tick in range(150):
+            now = tick * 20 * MS
+            ask(
+                plan_of(STRAIGHT, now, supported_m=SEEN_M),
+                controller=controller,
+                now_ns=now,
+                motion=straight_on(now, 9.0),
+            )
+        turning = replace(straight_on(now + 20 * MS, 9.0), yaw_rate_radps=yaw_rate_radps)
+        no_way = plan_of(STRAIGHT[:0], now + 20 * MS)
+        brakes.append(ask(no_way, controller=controller, now_ns=now + 20 * MS, motion=turning).brake)
+    assert brakes == sorted(brakes, reverse=True) and len(set(brakes)) == len(brakes)
+    assert brakes[0] > 0.5 and brakes[-1] == SETTINGS.gentle_brake
+
+
 def test_a_look_that_finds_no_path_is_the_shortest_sight() -> None:
     drive = Drive(
         path_of((90.0, 0.0)), SETTINGS, supported_m=SEEN_M, ahead_m=lambda at_m: 0.0 if 60.0 < at_m < 60.6 else 20.0

@@ -235,6 +235,7 @@ def test_a_car_far_beside_the_middle_leaves_the_line_unlost(monkeypatch: pytest.
         plans.append(ride.step())
     assert len(plans) > 5 and not any(plan.lost for plan in plans) and min(plan.confidence for plan in plans) > 0.8
     assert max(math.hypot(*plan.path_m[0]) for plan in plans) < 0.3  # not beside the car
+    assert not racing._leaving and racing._into_lane is None  # it is on its line again
 
 
 HALF_WIDTH_M = 1.75
