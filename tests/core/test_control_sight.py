@@ -11,6 +11,7 @@ import pytest
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.sight import (
+    BEYOND_CONES_M,
     CLEAR,
     CLEAR_AGAIN_M,
     CLEAR_APART_M,
@@ -22,6 +23,7 @@ from fsai_vcu.core.control.sight import (
     stopping_m,
     stops_from_m2ps2,
 )
+from fsai_vcu.core.planning.planner import DOUBT_BY_CONES
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami
 
@@ -43,6 +45,12 @@ def allowed_mps(seen: Looks, ahead_m: float = 0.0, bend_1pm: float = 0.0) -> flo
         sight.look(confidence, sight_m, sight_m, at_m, AGE_S)
         square = float(sight.ceiling(BRAKING_MPS2, REACTION_S, bend_1pm, at_m, SPEED_MPS, HERE + at_m + ahead_m)[0])
     return math.sqrt(square)
+
+
+def test_what_sight_takes_from_planner_and_car_is_so() -> None:
+    """Displaced cones alone never make a look sure; the rear axle stops where cones bear out the path."""
+    assert CLEAR > 1.0 - DOUBT_BY_CONES
+    assert all(BEYOND_CONES_M < car.wheelbase_m for car in CARS.values())
 
 
 def test_clear_looks_on_enough_way_earn_a_speed_by_sight() -> None:

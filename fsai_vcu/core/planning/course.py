@@ -115,7 +115,7 @@ class Evidence:
     def judged(self, course: Course, motion: Motion) -> Course:
         """The course with the confidence that it deserves; the way to a stop where the car is lost."""
         self._stuck = False
-        share, why, parting_m = self._followed(course, motion)
+        share, why, parting_m = self._against_last(course, motion)
         course = replace(
             course,
             supported_m=course.supported_m if course.mapped else min(course.supported_m, parting_m),
@@ -144,7 +144,7 @@ class Evidence:
             self._lost, self._clear_ns = True, None
         return self._kept(course, motion)
 
-    def _followed(self, course: Course, motion: Motion) -> tuple[float, str, float]:
+    def _against_last(self, course: Course, motion: Motion) -> tuple[float, str, float]:
         """The share of a course's confidence that is left by how it follows from the last one, why, and a length (m).
 
         The length is that of the path up to where it leaves the last one by `TURNED_M`; inf where it does not. Beyond
