@@ -459,7 +459,7 @@ def test_a_car_by_sight_stops_within_what_it_last_saw(ends: dict[str, Any], radi
     assert drive.speed_mps[beyond].max(initial=0.0) < FEEL_ITS_WAY_MPS + 0.5 and drive.speed_mps[-1] < 0.1
 
 
-def test_without_a_way_brakes_have_what_the_bend_leaves_of_the_grip() -> None:
+def test_without_a_way_brakes_have_what_the_bend_leaves() -> None:
     brakes = []
     for yaw_rate_radps in (0.0, 0.4, 0.6, 0.9):
         controller = reset_for(RUN, CAR, SETTINGS)

@@ -50,7 +50,7 @@ def allowed_mps(seen: Looks, ahead_m: float = 0.0, bend_1pm: float = 0.0) -> flo
 def test_what_sight_takes_from_planner_and_car_is_so() -> None:
     """Displaced cones alone never make a look sure; the rear axle stops where cones bear out the path."""
     assert CLEAR > 1.0 - DOUBT_BY_CONES
-    assert all(BEYOND_CONES_M < car.wheelbase_m for car in CARS.values())
+    assert all(car.wheelbase_m > BEYOND_CONES_M for car in CARS.values())
 
 
 def test_clear_looks_on_enough_way_earn_a_speed_by_sight() -> None:

@@ -154,7 +154,7 @@ def test_where_the_way_is_another_one_it_is_borne_out_so_far(mapped: bool) -> No
     assert course.supported_m == pytest.approx(SURE.supported_m - driven_m if mapped else 2.2, abs=0.3)
 
 
-def test_far_ahead_another_way_is_no_doubt_but_ends_what_is_borne_out() -> None:
+def test_far_ahead_another_way_only_ends_what_is_borne_out() -> None:
     """Aside from 8 m on, where the car could stop before. A look without a way between the two changes nothing."""
     aside, nothing = STRAIGHT.copy(), replace(SURE, path_m=NO_PATH, supported_m=0.0, confidence=0.0)
     aside[:, 1] += np.maximum(aside[:, 0] - 8.0, 0.0)
