@@ -24,7 +24,8 @@ from fsai_vcu.core.vehicle.parameters import SLIP_RADPMPS2, VehicleParameters
 from fsai_vcu.interface.values import Value
 
 MARGIN_M = 0.25  # between body and cones
-RACED_MPS2, RACED_MPS = 9.0, 13.0  # at most, in corners: the tyres' slip turns the nose inward
+RACED_MPS2, RACED_MPS = 9.0, 13.0  # at most, in corners: the tyres' slip turns the nose inward …
+TURNED_MORE = 1.4  # … and by so much more in one corner of ten, into which the car brakes or turns late
 CONE_RADIUS_M = 0.14
 NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less is the doubt of two places compared
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
@@ -240,7 +241,7 @@ def _bounds(
 
 def _turned_in_m(curvature_1pm: Floats, car: VehicleParameters) -> Floats:
     """(N,) how far the body stands to the inner side of the rear axle's path, turned by the slip at racing speed."""
-    slip_rad = SLIP_RADPMPS2 * np.minimum(RACED_MPS2, RACED_MPS**2 * curvature_1pm)
+    slip_rad = TURNED_MORE * SLIP_RADPMPS2 * np.minimum(RACED_MPS2, RACED_MPS**2 * curvature_1pm)
     ahead_m = np.minimum(slip_rad / curvature_1pm, car.nose_ahead_of_rear_axle_m)
     return np.asarray(ahead_m * slip_rad - 0.5 * ahead_m**2 * curvature_1pm)
 
