@@ -20,7 +20,7 @@ from fsai_vcu.core.driving import ConeColor, Motion, Plan
 from fsai_vcu.core.planning import cone_map
 from fsai_vcu.core.planning.cone_map import located
 from fsai_vcu.core.planning.pose import NO_PATH, lengths_along, ring_curvature, to_odometry, to_vehicle
-from fsai_vcu.core.planning.race_line import CONE_RADIUS_M, MARGIN_M, LineSearch, RaceLine
+from fsai_vcu.core.planning.race_line import CONE_RADIUS_M, MARGIN_M, RACED_MPS, RACED_MPS2, LineSearch, RaceLine
 from fsai_vcu.core.planning.racing import (
     BEYOND_M,
     JOINING_M,
@@ -57,6 +57,21 @@ def test_the_whole_car_keeps_its_margin_on_the_line(track: Track) -> None:
     line = race_line(track)
     poses = [Pose(x, y, math.atan2(sin, cos)) for (x, y), cos, sin in zip(line.xy_m, line.cos, line.sin, strict=True)]
     assert min(clearance_m(pose, track.cones_xy_m) for pose in poses) > MARGIN_M - 0.01
+
+
+@pytest.mark.parametrize("track", [OVAL, WINDING])
+def test_turned_into_its_bend_the_nose_keeps_the_margin(track: Track) -> None:
+    """By 0.115 rad at full lateral acceleration, as in one corner of ten; behind the rear axle the car swings out."""
+    line = race_line(track)
+    bends = ring_curvature(line.xy_m, over=2)
+    turned = 0.115 * np.sign(bends) * np.minimum(1.0, RACED_MPS**2 / RACED_MPS2 * np.abs(bends))
+    yaws = np.arctan2(line.sin, line.cos) + turned
+    inner = [
+        track.cones_xy_m[np.sign(bend) * Pose(x, y, yaw).seen(*track.cones_xy_m.T)[1] > 0.0]
+        for (x, y), yaw, bend in zip(line.xy_m, yaws, bends, strict=True)
+    ]
+    poses = [Pose(x, y, yaw) for (x, y), yaw in zip(line.xy_m, yaws, strict=True)]
+    assert min(map(clearance_m, poses, inner)) > MARGIN_M - 0.01
 
 
 @pytest.mark.parametrize("track", [OVAL, WINDING])
