@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from functools import cache
@@ -444,12 +445,13 @@ def test_where_sight_ends_in_a_bend_the_car_stops_within_it(radius_m: float) -> 
 
 
 NO_PATH_FROM = {"ahead_m": lambda at_m: 20.0 * (at_m < 55.0)}
+A_LAST_LOOK = {"ahead_m": lambda at_m: 20.0 * (at_m < 53.0 or 54.4 < at_m < 55.0)}
 
 
 @pytest.mark.parametrize(
     ("ends", "radius_m"),
-    [(NO_PATH_FROM, 1e9), ({"silent_from_m": 55.0}, 1e9), (NO_PATH_FROM, 25.0)],
-    ids=["no path", "no plan", "no path in a bend"],
+    [(NO_PATH_FROM, 1e9), ({"silent_from_m": 55.0}, 1e9), (NO_PATH_FROM, 25.0), (A_LAST_LOOK, 1e9)],
+    ids=["no path", "no plan", "no path in a bend", "no path but for a look"],
 )
 def test_a_car_by_sight_stops_within_what_it_last_saw(ends: dict[str, Any], radius_m: float) -> None:
     """Though nothing tells it the way any more: the speed was earned by that."""
@@ -471,19 +473,33 @@ def test_without_a_way_brakes_have_what_the_bend_leaves() -> None:
                 now_ns=now,
                 motion=straight_on(now, 9.0),
             )
-        turning = replace(straight_on(now + 20 * MS, 9.0), yaw_rate_radps=yaw_rate_radps)
+        turning = straight_on(now + 20 * MS, 9.0)
+        turning = replace(turning, yaw_rate_radps=yaw_rate_radps, distance_m=turning.distance_m + 7.0)
         no_way = plan_of(STRAIGHT[:0], now + 20 * MS)
         brakes.append(ask(no_way, controller=controller, now_ns=now + 20 * MS, motion=turning).brake)
     assert brakes == sorted(brakes, reverse=True) and len(set(brakes)) == len(brakes)
     assert brakes[0] > 0.5 and brakes[-1] == SETTINGS.gentle_brake
 
 
-def test_a_look_that_finds_no_path_is_the_shortest_sight() -> None:
+def test_after_a_look_without_a_path_the_speed_falls_gently() -> None:
     drive = Drive(
         path_of((90.0, 0.0)), SETTINGS, supported_m=SEEN_M, ahead_m=lambda at_m: 0.0 if 60.0 < at_m < 60.6 else 20.0
     )
-    after = (drive.along_m > 61.0) & (drive.along_m < 66.0)
-    assert drive.speed_mps[after].min() < stopping_mps(SEEN_M) - 1.0
+    after = (drive.along_m > 60.0) & (drive.along_m < 66.0)
+    assert drive.speed_mps[after].min() < stopping_mps(SEEN_M) - 0.5
+    assert drive.brake[after].max() < 0.3
+
+
+def test_where_every_other_look_finds_no_path_the_car_is_careful() -> None:
+    found = itertools.count()
+    drive = Drive(
+        path_of((90.0, 0.0)),
+        SETTINGS,
+        supported_m=SEEN_M,
+        ahead_m=lambda at_m: 0.0 if at_m > 40.0 and next(found) % 2 else 20.0,
+    )
+    assert drive.speed_mps[drive.along_m < 40.0].max() > SETTINGS.careful_mps
+    assert drive.speed_mps[drive.along_m > 65.0].max(initial=0.0) < SETTINGS.careful_mps
 
 
 def test_more_than_a_path_is_not_borne_out() -> None:

@@ -165,6 +165,18 @@ def test_far_ahead_another_way_only_ends_what_is_borne_out() -> None:
         assert found.supported_m == pytest.approx(9.4, abs=0.3) and found.confidence == 1.0
 
 
+def test_in_a_bend_the_way_is_the_same_after_looks_without_one() -> None:
+    """The last way ends before the one that is found again does."""
+    turns = np.arange(0.0, 8.0, 0.5) / 9.0
+    bend, evidence = 9.0 * np.column_stack((np.sin(turns), 1.0 - np.cos(turns))), Evidence()
+    for look in range(40):
+        yaw = 0.7 * look / 9.0
+        here = Motion(look * LOOK_NS, 9.0 * math.sin(yaw), 9.0 - 9.0 * math.cos(yaw), yaw, 7.0, 7.0 / 9.0, 0.7 * look)
+        found = Course(bend, supported_m=7.5) if not 30 <= look < 36 else Course(NO_PATH, supported_m=0.0)
+        course = evidence.judged(found, here)
+    assert course.confidence == 1.0 and course.supported_m == 7.5 and not course.note
+
+
 def test_a_way_kept_in_doubt_is_borne_out_no_further_than_before() -> None:
     evidence, far = Evidence(), replace(UNSURE, supported_m=19.0)
     for count, motion in enumerate(looks()):

@@ -91,6 +91,7 @@ class Controller:
         self._sight = Sight()
         self._sight_end_m = math.inf  # along the line, of the rear axle when the front wheels are where sight ends
         self._bend_1pm = 0.0  # of the line up to there
+        self._seen_until_m = math.inf  # how far driven when the front wheels are where the last sight of all ends
         self._pace, self._axle_slip = Pace(), 0.0  # of racing laps; as the wheels turn now
         self._doubted: tuple[float, float] | None = None  # how far driven, and how fast, when the path was last sure
         self._steering_rad = 0.0
@@ -271,8 +272,8 @@ class Controller:
             self._profile = None
             if self._line is not None:
                 self._profile = self._profile_of(plan, self._line, speed, there.distance_m, driven, oldest_s)
-            else:  # the shortest sight that there is
-                self._sight.look(0.0, 0.0, 0.0, there.distance_m, oldest_s)
+            else:
+                self._sight.look_without_path(there.distance_m, oldest_s)
         line = self._line
         if line is None:
             return self._no_way(motion, f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
@@ -321,8 +322,12 @@ class Controller:
         here = line.beside(0.0, 0.0)[0]
         sure = min(1.0, plan.confidence / settings.confidence_sure)
         stops = plan.confidence < settings.confidence_min
+        length_m, supported_m = float(line.along_m[-1]) - here, plan.supported_m
+        if math.isfinite(supported_m):
+            # Resampled, a path is up to a step shorter, and its first point up to half a step behind the car.
+            supported_m = min(supported_m, length_m + 1.5 * STEP_M)
         # The nose of a car that stops must not pass the end of the supported path.
-        ahead_m = plan.supported_m - (car.nose_ahead_of_rear_axle_m if stops else 0.0)
+        ahead_m = supported_m - (car.nose_ahead_of_rear_axle_m if stops else 0.0)
         end = min(float(line.along_m[-1]), here + ahead_m), 0.0 if stops else settings.end_of_path_mps * sure
         stop_m = None if plan.stop_distance_m is None else here + plan.stop_distance_m
 
@@ -336,17 +341,16 @@ class Controller:
         allowed = most if known else min(most, settings.careful_mps - HELD_BELOW_MPS)
         lateral, braking = self._grip_mps2(plan.mapped, known)
         at_m = seen_from_m + line.along_m - here  # along the driven path
-        now_m, borne_out_m = seen_from_m + driven_m, plan.supported_m - car.wheelbase_m
+        now_m, borne_out_m = seen_from_m + driven_m, supported_m - car.wheelbase_m
         slowest = profile(self._careful(sure, allowed, now_m, speed, at_m), lateral, braking)
         # The front wheels can stop on what cones bear out.
         left_m = seen_from_m + borne_out_m - at_m
         slowest = np.minimum(slowest, np.maximum(2.0 * settings.stopping_mps2 * left_m, FEEL_ITS_WAY_MPS**2))
         self._sight_end_m = math.inf
         if known or allowed == most or plan.lost:
-            self._sight = Sight()
+            self._sight, self._seen_until_m = Sight(), math.inf
             return slowest
-        # Resampled, a path is up to a step shorter, and its first point up to half a step behind the car.
-        supported_m = min(plan.supported_m, float(line.along_m[-1]) - here + 1.5 * STEP_M)
+        supported_m = supported_m if math.isfinite(supported_m) else length_m
         sight_m = supported_m - car.wheelbase_m + BEYOND_CONES_M
         self._sight.look(plan.confidence, supported_m, sight_m, seen_from_m, oldest_s)
         braking = settings.sight_braking_mps2
@@ -358,8 +362,10 @@ class Controller:
         self._bend_1pm = max(float(bend.mean()) if len(bend) else 0.0 for bend in bends)
         by_sight = self._sight.ceiling(braking, settings.reaction_s, self._bend_1pm, now_m, speed, at_m)
         if by_sight.max() <= FEEL_ITS_WAY_MPS**2:
+            if speed <= settings.careful_mps:
+                self._seen_until_m = math.inf
             return slowest
-        self._sight_end_m = here + sight_m
+        self._sight_end_m, self._seen_until_m = here + sight_m, seen_from_m + sight_m
         end = end[0], 0.0 if stops else most  # the car can stop before it
         faster: Floats = profile(np.minimum(by_sight, most**2), settings.sight_lateral_mps2, braking, end)
         return np.maximum(slowest, faster)
@@ -455,7 +461,7 @@ class Controller:
                 wanted = max(wanted, self._acceleration_mps2 - change)
         self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
         # Sight too short for a moment is braked for as long as it is, and no longer: the next look may see further.
-        for_sight = max(self._for_sight(here_m, speed), -hardest)
+        for_sight = max(self._for_sight(self._sight_end_m - here_m, speed), -hardest)
         if for_sight < wanted:
             self._acceleration_mps2, wanted = min(wanted, 0.0), for_sight  # after it throttle comes gradually
         self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)
@@ -463,13 +469,13 @@ class Controller:
             return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
         return throttle_for(self._car, wanted, speed), 0.0
 
-    def _for_sight(self, here_m: float, speed: float) -> float:
+    def _for_sight(self, sight_m: float, speed: float) -> float:
         """Return the acceleration that brings the car within sight to a speed at which it feels its way, or inf.
 
         It is inf as long as less is needed than half-way from the braking planned with to the most that is used.
         """
         grip_mps2 = 0.5 * (self._settings.sight_braking_mps2 + self._settings.sight_braking_max_mps2)
-        left_m = max(self._sight_end_m - here_m - speed * self._settings.reaction_s, 0.0)
+        left_m = max(sight_m - speed * self._settings.reaction_s, 0.0)
         slow_mps = min(speed, FEEL_ITS_WAY_MPS)
         stop_m = stopping_m(speed * speed, self._bend_1pm, grip_mps2)
         needed_m = stop_m - stopping_m(slow_mps * slow_mps, self._bend_1pm, grip_mps2)
@@ -485,15 +491,15 @@ class Controller:
         return 0.0, max(self._settings.gentle_brake, self._sight_brake(motion))
 
     def _sight_brake(self, motion: Motion) -> float:
-        """Return the brake by which a car that drives by sight stops within it, by what the bend leaves; 0 for others.
+        """Return the brake by which a car that drives by sight stops within what it last saw; 0 while less will do.
 
-        Slow, it need not.
+        It is no more than what the bend leaves of the grip.
         """
         speed = motion.speed_mps
-        if self._sight_end_m == math.inf or speed < FEEL_ITS_WAY_MPS:
-            return 0.0
+        wanted = -self._for_sight(self._seen_until_m - motion.distance_m, speed)
         used = speed * abs(motion.yaw_rate_radps) / (LEFT_FOR_SURPRISES * GRIP_MPS2)
-        return brake_for(self._car, self._settings.sight_braking_mps2 * braking_share(used), speed)
+        hardest = max(self._settings.sight_braking_max_mps2 * braking_share(used), BEYOND_GRIP_MPS2)
+        return brake_for(self._car, min(wanted, hardest), speed) if wanted > 0.0 else 0.0
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)

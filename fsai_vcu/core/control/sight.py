@@ -67,6 +67,11 @@ class Sight:
         if doubtful or not followed or sum(not sure for _, _, sure, _ in lately) > UNSURE_MOST * len(lately):
             self._unclear_m = seen_from_m
 
+    def look_without_path(self, seen_from_m: float, age_s: float) -> None:
+        """Take in a look that found no path: doubtful, and its sight is what is left of the last one's."""
+        last_m, sight_m, _, _ = self._lately[-1] if self._lately else (seen_from_m, 0.0, False, 0.0)
+        self.look(0.0, 0.0, max(0.0, last_m + sight_m - seen_from_m), seen_from_m, age_s)
+
     def ceiling(
         self, grip_mps2: float, reaction_s: float, bend_1pm: float, now_m: float, speed: float, at_m: Floats
     ) -> Floats:

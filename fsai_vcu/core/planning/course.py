@@ -158,8 +158,10 @@ class Evidence:
         if self._last is not None and self._last[0].mapped == course.mapped:
             before = to_vehicle(motion, to_odometry(self._last[1], self._last[0].path_m))
             reach_m = DOUBTED_M + braking_m(motion.speed_mps, LOST_BRAKING_MPS2)
-            along_m = lengths_along(path)
-            both_m = along_m[along_m < float(lengths_along(before)[-1]) - DOUBTED_M]
+            along_m, along_before_m = lengths_along(path), lengths_along(before)
+            # Looks without a way may lie between the two: only what is left of the last one is the way of both.
+            left_m = float(along_before_m[-1] - along_before_m[int(np.hypot(before[:, 0], before[:, 1]).argmin())])
+            both_m = along_m[along_m < left_m - DOUBTED_M]
             asides_m = aside_m_of(path[: len(both_m)], before)
             moved_m = float(asides_m[both_m < reach_m].max(initial=0.0))
             self._moved_m += NEWEST_MOVED * (min(moved_m, MOVED_MOST_M) - self._moved_m)

@@ -114,9 +114,8 @@ class LapStrategy:
             confidence = clear * free * within * course.confidence
             course = replace(
                 course,
-                supported_m=min(
-                    course.supported_m, max(until_m - self._nose_m, 0.0)
-                ),  # where it stops, the nose does not pass it
+                # The nose does not pass it.
+                supported_m=min(course.supported_m, max(until_m - self._nose_m, 0.0)),
                 confidence=confidence,
                 note="; ".join(filter(None, notes)),
             )
