@@ -169,7 +169,7 @@ def test_in_a_bend_the_way_is_the_same_after_looks_without_one() -> None:
     """The last way ends before the one that is found again does."""
     turns = np.arange(0.0, 8.0, 0.5) / 9.0
     bend, evidence = 9.0 * np.column_stack((np.sin(turns), 1.0 - np.cos(turns))), Evidence()
-    for look in range(40):
+    for look in range(37):
         yaw = 0.7 * look / 9.0
         here = Motion(look * LOOK_NS, 9.0 * math.sin(yaw), 9.0 - 9.0 * math.cos(yaw), yaw, 7.0, 7.0 / 9.0, 0.7 * look)
         found = Course(bend, supported_m=7.5) if not 30 <= look < 36 else Course(NO_PATH, supported_m=0.0)

@@ -362,8 +362,7 @@ class Controller:
         self._bend_1pm = max(float(bend.mean()) if len(bend) else 0.0 for bend in bends)
         by_sight = self._sight.ceiling(braking, settings.reaction_s, self._bend_1pm, now_m, speed, at_m)
         if by_sight.max() <= FEEL_ITS_WAY_MPS**2:
-            if speed <= settings.careful_mps:
-                self._seen_until_m = math.inf
+            self._seen_until_m = math.inf
             return slowest
         self._sight_end_m, self._seen_until_m = here + sight_m, seen_from_m + sight_m
         end = end[0], 0.0 if stops else most  # the car can stop before it
