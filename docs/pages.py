@@ -166,7 +166,7 @@ def give_up() -> str:
         f"\na border, or each look moves it (by more than {MOVED_M[0]:g} m in the mean, before the car could stop)."
         "\nWhere another way through the cones is nearly as good, the path counts as borne out only as far as both"
         "\nways are one, and confidence falls if they part before the car can stop; sooner without colours or among"
-        f"\nfalse cones. Off the map it also counts only up to where it leaves the path of the look before by"
+        "\nfalse cones. Off the map it also counts only up to where it leaves the path of the look before by"
         f"\n{TURNED_M:g} m, or passes between the last two cones of one colour that border it; with its nose at those"
         "\ncones confidence falls, and the car stops."
         "\nWhile its average over some looks is under"

@@ -258,7 +258,7 @@ ROOM_M = HALF_WIDTH_M - 0.5 * CAR.width_m - CONE_RADIUS_M
 
 
 def left_line() -> Racing:
-    """Of a car that has just left its race line."""
+    """The race planner of a car that has just left its line."""
     racing = Racing(CAR, PlannerSettings(), Motion())
     racing._leaving = True
     return racing
@@ -291,7 +291,7 @@ def test_from_the_race_line_the_path_comes_into_the_lane(left_m: float, turned_r
 
 @pytest.mark.parametrize(
     ("left_m", "turned_rad"),
-    [(1.0, 0.0), (0.5, 0.3), (0.0, 0.6), (-0.7, 0.55)],
+    [(1.0, 0.0), (0.5, 0.3), (0.0, 0.6), (1.0, -0.3)],
     ids=["beside", "nose", "turned", "inward"],
 )
 def test_a_car_out_of_its_lane_gets_no_way_into_it(left_m: float, turned_rad: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from msgspec.structs import replace
@@ -141,9 +142,7 @@ class Racing:
             left_m = float(path_m[first, 0] * sin[first] - path_m[first, 1] * cos[first])
             turned_rad = -math.atan2(float(sin[first]), float(cos[first]))
             room_m = half_width_m - 0.5 * self._car.width_m - CONE_RADIUS_M
-            length_m = JOINING_M + JOINING_S * motion.speed_mps
-            ways = [joining(left_m, turned_rad, 0.0, share * length_m, step_m) for share in JOINING_SHARES]
-            way = min(ways, key=lambda way: max(WITHIN_M, float(np.abs(way).max()) - room_m))
+            way = longest_way((left_m, turned_rad, 0.0), motion, step_m, lambda way: float(np.abs(way).max()) - room_m)
             nose_m = left_m + self._car.nose_ahead_of_rear_axle_m * math.sin(turned_rad)
             in_lane = max(abs(left_m), abs(nose_m)) <= room_m and np.abs(way).max() <= room_m + BEYOND_M
             if not in_lane or abs(turned_rad) > TURNED_RAD:
@@ -219,10 +218,20 @@ class Racing:
 
 def way_onto(line: RaceLine, index: int, left_m: float, turned_rad: float, here: Motion) -> Floats:
     """(N,) how far left of the line the path is, on the longest way onto it that keeps to the room beside the line."""
-    length_m = JOINING_M + JOINING_S * here.speed_mps
     bend_1pm = here.yaw_rate_radps / max(here.speed_mps, 1.0) - line.curvature_1pm(index)
-    ways = [joining(left_m, turned_rad, bend_1pm, share * length_m, line.step_m) for share in JOINING_SHARES]
-    return min(ways, key=lambda way: max(WITHIN_M, line.beyond_m(index, way)))
+    return longest_way((left_m, turned_rad, bend_1pm), here, line.step_m, lambda way: line.beyond_m(index, way))
+
+
+def longest_way(
+    begins: tuple[float, float, float], motion: Motion, step_m: float, beyond_m: Callable[[Floats], float]
+) -> Floats:
+    """(N,) how far left of a line or lane the path is, on the longest way onto it that keeps to the room beside it.
+
+    begins: how far left the car is, how far turned and bent against it; beyond_m: by how much a way leaves the room.
+    """
+    length_m = JOINING_M + JOINING_S * motion.speed_mps
+    ways = [joining(*begins, share * length_m, step_m) for share in JOINING_SHARES]
+    return min(ways, key=lambda way: max(WITHIN_M, beyond_m(way)))
 
 
 def joining(left_m: float, turned_rad: float, bend_1pm: float, length_m: float, step_m: float) -> Floats:
