@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,10 +80,21 @@ class Databases:
 
 def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> Databases:
     """The given files, or where there are none the project's own of an interface revision. Raises UserError."""
+    if files:
+        return _loaded([Path(file) for file in files])
     try:
-        paths = [Path(file) for file in files] or [dbc_dir() / name for name in revision_named(revision).dbc_files]
+        names = revision_named(revision).dbc_files
     except ValueError as error:
         raise UserError(str(error)) from error
+    return _own(dbc_dir(), names)
+
+
+@cache  # a verb that learns the revision from the frames asks for the same ones two or three times
+def _own(folder: Path, names: tuple[str, ...]) -> Databases:
+    return _loaded([folder / name for name in names])
+
+
+def _loaded(paths: Sequence[Path]) -> Databases:
     loaded = [_load(path) for path in paths]
     databases = databases_of(database for database, _, _ in loaded)
     databases.signed_flags = tuple(str(path) for path, (_, signed, _) in zip(paths, loaded, strict=True) if signed)
