@@ -412,12 +412,13 @@ def test_cones_that_come_into_sight_one_by_one_do_not_jolt() -> None:
 
 
 def test_sight_short_for_a_moment_is_braked_for_no_longer() -> None:
-    """The speed falls to what the shortest sight allows, and not below it."""
-    short_m = 9.25
+    """The speed falls to what the shortest sight allows at most, and grows again when that sight is 4 m behind."""
+    short_m = 8.25  # just before the next ones of cones 5 m apart come into sight
     drive = Drive(path_of((90.0, 0.0)), SETTINGS, supported_m=lambda at_m: short_m if 60.0 < at_m < 60.6 else SEEN_M)
-    there = (drive.along_m > 60.0) & (drive.along_m < 68.0)
+    there, after = (drive.along_m > 60.0) & (drive.along_m < 68.0), drive.along_m > 72.0
     assert drive.brake[there].max() > 0.5
     assert drive.speed_mps[there].min() > stopping_mps(short_m) - 0.4
+    assert drive.speed_mps[after][0] > drive.speed_mps[there].min() + 0.2
 
 
 @pytest.mark.parametrize("every", [8, 10, 12])
@@ -435,7 +436,7 @@ def test_the_end_of_a_path_is_the_end_of_sight() -> None:
     assert drive.speed_mps.max() < stopping_mps(10.0) + 0.1
 
 
-@pytest.mark.parametrize("radius_m", [25.0, 14.0])
+@pytest.mark.parametrize("radius_m", [25.0, 18.0, 16.0, 14.0, 9.0])
 def test_where_sight_ends_in_a_bend_the_car_stops_within_it(radius_m: float) -> None:
     path = path_of((45.0, 0.0), (35.0, 1.0 / radius_m))
     drive = Drive(path, SETTINGS, ahead_m=80.0, supported_m=lambda at_m: max(0.0, min(SEEN_M, 65.0 - at_m)))

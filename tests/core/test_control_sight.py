@@ -23,6 +23,7 @@ from fsai_vcu.core.control.sight import (
     stopping_m,
     stops_from_m2ps2,
 )
+from fsai_vcu.core.control.speed_profile import braking_share
 from fsai_vcu.core.planning.planner import DOUBT_BY_CONES
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami
@@ -71,7 +72,7 @@ def test_in_a_bend_brakes_have_what_it_leaves_of_the_grip(bend_1pm: float, mps: 
     speed, way_m, step_s = mps, 0.0, 1e-4
     while speed > 0.0:
         way_m += speed * step_s
-        speed -= step_s * math.sqrt(max(BRAKING_MPS2**2 - (speed**2 * bend_1pm) ** 2, 1e-6))
+        speed -= step_s * BRAKING_MPS2 * braking_share(speed**2 * bend_1pm / BRAKING_MPS2)
     assert stopping_m(mps**2, bend_1pm, BRAKING_MPS2) == pytest.approx(way_m, abs=0.01)
     assert stops_from_m2ps2(way_m, bend_1pm, BRAKING_MPS2) == pytest.approx(mps**2, abs=0.1)
 

@@ -473,7 +473,9 @@ class Controller:
 
         It is inf as long as less is needed than half-way from the braking planned with to the most that is used.
         """
-        grip_mps2 = 0.5 * (self._settings.sight_braking_mps2 + self._settings.sight_braking_max_mps2)
+        planned_mps2, most_mps2 = self._settings.sight_braking_mps2, self._settings.sight_braking_max_mps2
+        spare = braking_share(speed * speed * self._bend_1pm / planned_mps2)
+        grip_mps2 = planned_mps2 + 0.5 * spare * (most_mps2 - planned_mps2)
         left_m = max(sight_m - speed * self._settings.reaction_s, 0.0)
         slow_mps = min(speed, FEEL_ITS_WAY_MPS)
         stop_m = stopping_m(speed * speed, self._bend_1pm, grip_mps2)

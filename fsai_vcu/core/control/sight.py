@@ -12,10 +12,11 @@ from collections import deque
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.control.speed_profile import braking_share
 
 # A look bears out the path well with such a confidence (displaced cones leave 0.8 at worst: `DOUBT_BY_CONES`), so long
 # a supported path, and so little way since the last one.
-CLEAR, CLEAR_M, CLEAR_APART_M = 0.81, 9.0, 1.5
+CLEAR, CLEAR_M, CLEAR_APART_M = 0.81, 8.0, 1.5
 CLEAR_OVER_M = 15.0  # of way, on which the looks must have done so …
 CLEAR_AGAIN_M = 8.0  # … or of less, after a doubt on a path that was driven by sight, …
 # … but for such a share of the looks within STEADY_M, with at least so much confidence: the others outvote them.
@@ -27,23 +28,26 @@ UNCLEAR_MPS2 = 2.0  # with which the speed falls from then on: one doubtful look
 # 0.8 m, as much as there is.
 BEYOND_CONES_M = 1.5
 STRAIGHT_1PM = 1e-6
+# What a bend takes of the grip, from none to all; and the way to a stop from there, times twice the bend.
+_USED = np.linspace(0.0, 1.0, 401)  # by 0.0025
+_WAYS = np.append(0.0, np.cumsum([0.0025 / braking_share(float(used)) for used in _USED[1:] - 0.00125]))
 
 
 def stopping_m(square_m2ps2: float, bend_1pm: float, grip_mps2: float) -> float:
     """Return the way on which tyres of such a grip stop a car in such a bend, from the square of its speed.
 
-    What the bend takes of the grip, the brakes do not have: along the way d(v2)/ds is -2 sqrt(grip2 - (v2 bend)2). A
-    car too fast for the bend sheds what is too much with all of the grip.
+    What the bend takes of the grip, the brakes do not have: along the way d(v2)/ds is -2 grip braking_share(v2 bend /
+    grip). A car too fast for the bend sheds what is too much with all of the grip.
     """
     bend_1pm = max(bend_1pm, STRAIGHT_1PM)
     used = square_m2ps2 * bend_1pm / grip_mps2
-    return (math.asin(min(used, 1.0)) + max(used - 1.0, 0.0)) / (2.0 * bend_1pm)
+    return (float(np.interp(used, _USED, _WAYS)) + max(used - 1.0, 0.0)) / (2.0 * bend_1pm)
 
 
 def stops_from_m2ps2(way_m: float, bend_1pm: float, grip_mps2: float) -> float:
     """Return the square of the speed from which `stopping_m` is so much way, or of the most that the bend allows."""
     bend_1pm = max(bend_1pm, STRAIGHT_1PM)
-    return grip_mps2 / bend_1pm * math.sin(min(2.0 * bend_1pm * way_m, 0.5 * math.pi))
+    return grip_mps2 / bend_1pm * float(np.interp(2.0 * bend_1pm * way_m, _WAYS, _USED))
 
 
 class Sight:
