@@ -79,7 +79,7 @@ _STEERING = {
     Steer.ZERO: "0",
     Steer.HELD: "held",
     Steer.COMMAND: "by command",
-    Steer.HELD_OR_COMMAND: "held, or by command where the cause lets the planner speak",
+    Steer.HELD_OR_COMMAND: "by command if the cause of the stop leaves steering to the planner, else held",
 }
 _BRAKE = {
     Brake.ZERO: "0",
@@ -111,7 +111,7 @@ def _reaction(reason: Reason, steps: Sequence[Step]) -> list[str]:
 
 
 def _flow() -> list[str]:
-    """What ends a drive: reasons that do the same are one box."""
+    """Return the diagram's lines on what ends a drive: reasons that do the same are one box."""
     alike: dict[tuple[Step, ...], list[Reason]] = {}
     for reason, steps in REACTIONS.items():
         alike.setdefault(steps, []).append(reason)
@@ -154,6 +154,7 @@ def limiters() -> str:
 
 
 def give_up() -> str:
+    """Return the text on runs that the controller ends, and on the planner's confidence, with the code's limits."""
     seconds = ControllerSettings().give_up_s
     return (
         f"If the car has stood for {seconds:.0f} s in AS_DRIVING where it should drive, without a path for instance,"
@@ -164,13 +165,13 @@ def give_up() -> str:
         "\nThe planner's confidence falls when it sees another lane than a moment ago, a car beside its path, cones"
         "\nwhere none stood, or cones that are not where skidpad or acceleration have them; and when its path crosses"
         f"\na border, or each look moves it (by more than {MOVED_M[0]:g} m in the mean, before the car could stop)."
-        "\nWhere another way through the cones is nearly as good, the path counts as borne out only as far as both"
-        "\nways are one, and confidence falls if they part before the car can stop; sooner without colours or among"
+        "\nWhere another path through the cones is nearly as good, the path counts as confirmed only as far as the two"
+        "\ncoincide, and confidence falls if they part before the car can stop; sooner without colours or among"
         "\nfalse cones. Off the map it also counts only up to where it leaves the path of the look before by"
         f"\n{TURNED_M:g} m, or passes between the last two cones of one colour that border it; with its nose at those"
         "\ncones confidence falls, and the car stops."
         "\nWhile its average over some looks is under"
-        f"\n{FLOOR_AGAIN:g}, the car drives slowly, as if {SLOWLY_M:g} m of the path were borne out at most."
+        f"\n{FLOOR_AGAIN:g}, the car drives slowly, as if at most {SLOWLY_M:g} m of the path were confirmed."
         "\nIf that average"
         f"\nstays under {FLOOR:g} for {DOUBTED_M:g} m of driving, or for {DOUBTED_S:g} s if that is longer,"
         "\nthe planner is *lost*: it plans a stop at once, along the last path that was not in doubt."
@@ -261,6 +262,7 @@ def as_off() -> str:
 
 
 def _bridge_knows() -> dict[str, tuple[str, str]]:
+    """Return the reasons for not driving that the bridge itself knows: each one's words, and what to do."""
     ready = SupervisorState(mode=Mode.AUTONOMOUS)
     asked = Latch(Asked.OPERATOR, 0)
     rows = {
@@ -325,8 +327,10 @@ _PARTS = {"vcu_bridge": ("bridge_outputs", "mission_server")}  # files beside a 
 
 
 def _interface() -> Iterator[tuple[str, str, str, str, str]]:
-    """What a node makes: its name; publisher, subscription, service or action; the name and the type that others
-    see; what is said of the function that is called.
+    """Yield a row for each topic, service and action of a node.
+
+    It holds the node's name; publisher, subscription, service or action; the name and the type that others see; and
+    the docstring of the function that is called.
     """
     files = [(node, file) for node in CLASSES for file in (node, *_PARTS.get(node, ()))]
     for node, file in files:
@@ -347,7 +351,7 @@ def _interface() -> Iterator[tuple[str, str, str, str, str]]:
 
 
 def _type(place: str, kind: str) -> str:
-    """As ROS names it; a type of this project leads to its definition."""
+    """Return a type's name in ROS; one of this project leads to its definition."""
     name = f"{place.partition('/')[0]}/{kind}"
     file = f"{place}/{kind}.{place.rpartition('/')[2]}"
     return f"[{name}]({file})" if (ROOT / "nodes" / file).is_file() else name
@@ -478,7 +482,7 @@ def speeds() -> str:
 
 
 def machines() -> str:
-    """What `make fresh-machine` has tried, a line for each trial."""
+    """Return the table of what `make fresh-machine` has tried, a line for each trial."""
     rows = json.loads(_read("fresh-machines.json"))
     results = (f"passed, {row['date']}" if row["passed"] else f"**failed**: {row['failed']}" for row in rows)
     return _table(
@@ -491,7 +495,7 @@ def machines() -> str:
 
 
 def targets() -> str:
-    """What the Makefile says of the targets that show something."""
+    """Return the table of the targets that show something, in the Makefile's words."""
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     part = text[text.index("##@ Is it safe?") : text.index("##@ For others")]
     found = [("test", text), *((name, part) for name in re.findall(r"^([a-z-]+):.*## ", part, re.MULTILINE))]
@@ -505,6 +509,7 @@ def hazards() -> str:
 
 
 def _hazards() -> Iterator[str]:
+    """Yield a section for each hazard: what prevents it, its rules, its tests and the evidence."""
     rows = {row[0].strip("| `"): row for row in (line.split(" | ") for line in _read("faults.md").splitlines())}
     for number, one in enumerate(tomllib.loads((ROOT / "docs" / "hazards.toml").read_text())["hazard"], 1):
         yield "\n".join(
@@ -523,7 +528,10 @@ def _hazards() -> Iterator[str]:
 
 
 def _campaign(rows: Sequence[Sequence[str]], names: Sequence[str]) -> str:
-    """What the campaign's table says of these faults. Its columns count from the end: texts may hold anything."""
+    """Return what the campaign's table says of these faults.
+
+    Its columns count from the end: texts may hold anything.
+    """
 
     begin = {kind.name for kind in ROWS if not kind.from_start}  # what is there from power-up on has no such time
     worse = sum(int(row[-1].strip("| ")) for row in rows)

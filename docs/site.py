@@ -39,12 +39,12 @@ def on_config(config: Any) -> None:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """In a table's code GitHub needs \\| for |, and here the backslash would be shown."""
+    """Replace \\| by | in code: in a table GitHub needs the backslash, and here it would be shown."""
     return re.sub(r"`[^`\n]+`", lambda code: code[0].replace("\\|", "|"), markdown)
 
 
 def main(out: Path) -> int:
-    """Built into out/docs, from a copy in out/pages; 1 where a link leads nowhere."""
+    """Build the site into out/docs, from a copy in out/pages; return 1 where a link leads nowhere."""
     pages = out / "pages"
     shutil.rmtree(pages, ignore_errors=True)
     listed = subprocess.run(

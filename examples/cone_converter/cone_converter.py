@@ -43,6 +43,8 @@ WAYS = {
 
 
 class ConeConverter(Node):
+    """Publishes each message about cones as /detected_cones."""
+
     def __init__(self, **options):
         super().__init__("cone_converter", **options)
         package, name, self.read = WAYS[self.declare_parameter("way", "lists").value]

@@ -38,6 +38,8 @@ def cloud(seen):
 
 
 class ConesOut(Node):
+    """Publishes /detected_cones in the form that the parameter `way` names."""
+
     def __init__(self, **options):
         super().__init__("cones_out", **options)
         self.make = {"lists": lists, "text": text, "cloud": cloud}[self.declare_parameter("way", "lists").value]

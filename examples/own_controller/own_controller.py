@@ -30,6 +30,8 @@ def drive(command, state, status, points):
 
 
 class OwnController(Node):
+    """Sends commands along the path, and says when the mission is over."""
+
     def __init__(self):
         super().__init__("own_controller")
         self.run, self.state, self.status, self.path = RunState(), None, None, None

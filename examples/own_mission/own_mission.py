@@ -25,6 +25,8 @@ def step(command, state):
 
 
 class OwnMission(Node):
+    """Confirms each run as planner and controller, and sends the mission's commands."""
+
     def __init__(self):
         super().__init__("own_mission")
         self.run, self.state = RunState(), None

@@ -35,6 +35,8 @@ def middle(cones):
 
 
 class OwnPlanner(Node):
+    """Answers each set of cones with a path, and says where to stop after the last lap."""
+
     def __init__(self):
         super().__init__("own_planner")
         self.run, self.state = RunState(), None

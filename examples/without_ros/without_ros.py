@@ -31,6 +31,7 @@ END_S = 1.0  # what the bridge needs at the most for its orderly end at rest
 
 
 def main() -> int:
+    """Drive the car on the bus that is named, until a signal ends the program; return its exit status."""
     if len(sys.argv) != 2:
         print(f"usage: {sys.argv[0]} BUS", file=sys.stderr)
         return 2

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json",
         action="store_true",
-        help="one JSON object per finding and bus, with --figures per message; verdict last",
+        help="print one JSON object per finding and bus, with --figures also per message; the last one is the verdict",
     )
 
 

@@ -81,6 +81,7 @@ def _as_dict(finding: Finding) -> dict[str, str]:
 
 
 def _show(findings: Sequence[Finding], *, as_json: bool) -> int:
+    """Print the findings as lines, or as JSON; return the exit status, 1 where something is wrong."""
     wrong = sum(finding.severity == "problem" for finding in findings)
     if as_json:
         print(json.dumps({"wrong": wrong, "findings": [_as_dict(finding) for finding in findings]}))

@@ -63,12 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=float, metavar="S", help="stop after S seconds (default: until Ctrl-C)")
     add("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
     add("--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)")
-    add("--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often")
+    add("--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; can be repeated")
     add("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
     for option, (default, metavar, words) in _BOUNDS.items():
         add(f"--{option.replace('_', '-')}", metavar=metavar, help=f"{words} (default: {default})")
     add("--keep-free", default="256M", metavar="SIZE", help="leave this much of the disk free (default: 256M)")
-    add("--patient", action="store_true", help="try again every second where nothing can be written, as the service")
+    add("--patient", action="store_true", help="as the service: try again every second while nothing can be written")
     add(
         "--limits",
         type=Path,

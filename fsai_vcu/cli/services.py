@@ -55,7 +55,7 @@ def nodes_module(name: str) -> Any:
 
 @contextmanager
 def ros_errors() -> Iterator[None]:
-    """A namespace that is none, and a ROS or an encrypted DDS that does not come up, as UserError."""
+    """Raise UserError for an invalid namespace, and for a ROS or an encrypted DDS that does not come up."""
     try:
         yield
     except ValueError as error:

@@ -109,7 +109,7 @@ class Codec:
 
         Values are rounded to the nearest raw step. Raises EncodeError for a value out of range, not finite or unknown,
         and for a message that this revision lacks; logging fields saturate. Fields that the loaded database lacks, and
-        those that are None, leave their bits at 0.
+        fields whose value is None, leave their bits at 0.
         """
         layout = self._layouts.get(type(image))
         if layout is None:

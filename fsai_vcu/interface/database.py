@@ -149,7 +149,7 @@ def check_bounds(path: Path, database: Database) -> None:
             _check_texts(path, signal.name, signal.unit or "", *map(str, (signal.choices or {}).values()))
             numbers = signal.scale, signal.offset, *(signal.choices or ())
             if not all(-_LARGEST < number < _LARGEST for number in numbers):
-                raise DatabaseError(f"{path}: a number that is none, or beyond {_LARGEST:g}")
+                raise DatabaseError(f"{path}: a number is invalid, or beyond {_LARGEST:g}")
 
 
 def _check_texts(path: Path, *texts: object) -> None:

@@ -168,8 +168,8 @@ KEYS: tuple[Key, ...] = (
         _CONTROLLER,
         CONTROLLER_RANGES,
         max_speed_mps=f"highest speed in every mission; {NO_SPEED_LIMIT_MPS:g}: not limited",
-        lap_max_speed_mps=f"highest speed on laps without a map; above {_CONTROLLER.careful_mps:g} only where cones"
-        " bear out the path well and the car can stop within sight",
+        lap_max_speed_mps=f"highest speed on laps without a map; above {_CONTROLLER.careful_mps:g} only where the"
+        " cones seen confirm the path well and the car can stop within sight",
         race_max_speed_mps="highest speed on laps whose path follows a map",
         skidpad_max_speed_mps="highest speed in the skidpad",
         acceleration_max_speed_mps="highest speed in the acceleration",

@@ -37,7 +37,7 @@ def serve(link: LinkEnd) -> None:
                     try:
                         files = settings.dbc_files or None
                         codec = Codec(REVISIONS[settings.revision], files, settings.wheel_mapping)
-                    except Exception as error:  # a database that is none, or a revision that nobody knows
+                    except Exception as error:  # an invalid database, or an unknown revision
                         link.send(Answer(message.number, False, shortened(str(error))))
                     else:
                         if codec.unknown:

@@ -35,8 +35,8 @@ def parse_toml(text: str) -> dict[str, object]:
         raise
     except RecursionError:
         raise tomllib.TOMLDecodeError("Tables and lists are too deep in one another") from None
-    except ValueError as error:  # digits without an end, a date that is none
-        raise tomllib.TOMLDecodeError(f"A value that is none: {error}") from None
+    except ValueError as error:  # digits without an end, an invalid date
+        raise tomllib.TOMLDecodeError(f"Invalid value: {error}") from None
     return document
 
 

@@ -230,7 +230,7 @@ def test_frames_lost_to_a_slow_reader_are_reported(
         assert main(["dump", name, "-n", "3"]) == 1
     lost = capsys.readouterr().err
     assert re.fullmatch(
-        r"fsai-vcu dump: \d+ frames were lost: whoever reads the output is too slow for the bus\n", lost
+        r"fsai-vcu dump: \d+ frames were lost: the program that reads the output is too slow for the bus\n", lost
     )
 
 

@@ -154,9 +154,9 @@ def test_a_database_is_loaded_without_python_can() -> None:
     ("line", "words"),
     [
         (f"{'S' * 501} : 0|8@1+ (1,0) [0|0] ", "a name, a unit or a word of more than 500 characters"),
-        ("S : 0|8@1+ (1e31,0) [0|0] ", "a number that is none, or beyond 1e\\+30"),
-        (f"S : 0|8@1+ (1,-{'9' * 40}) [0|0] ", "a number that is none, or beyond 1e\\+30"),
-        ("S : 0|8@1+ (1e999,0) [0|0] ", "a number that is none, or beyond 1e\\+30"),
+        ("S : 0|8@1+ (1e31,0) [0|0] ", "a number is invalid, or beyond 1e\\+30"),
+        (f"S : 0|8@1+ (1,-{'9' * 40}) [0|0] ", "a number is invalid, or beyond 1e\\+30"),
+        ("S : 0|8@1+ (1e999,0) [0|0] ", "a number is invalid, or beyond 1e\\+30"),
         ("S : 0|8@1+ (1e-30,1e29) [-1e300|1e999] ", ""),
     ],
 )

@@ -154,7 +154,7 @@ def unusable() -> dict[str, str]:
         "hexadecimal digits": "x = 0x" + "f" * 60_000,
         "an open list": "x = [" + "1,\n" * 20_000,
         "an open text": 'x = """' + "a\n" * 30_000,
-        "a time that is none": "x = 1979-02-30\n",
+        "an invalid date": "x = 1979-02-30\n",
     }
 
 

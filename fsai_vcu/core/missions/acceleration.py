@@ -34,7 +34,7 @@ class StraightLane(Value, frozen=True, eq=False):
     found: bool = False
 
     def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Distance to the lane's borders, as `registration.Borders`."""
+        """Return the distance from the lane's nearest border, and its normal, as `course_fit.Borders` says."""
         return np.abs(y) - self.half_width_m, np.zeros_like(x), np.where(y < 0.0, -1.0, 1.0)
 
     def off(self, xy_m: Floats) -> Floats:

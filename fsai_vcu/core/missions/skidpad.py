@@ -56,7 +56,7 @@ class SkidpadCourse(Value, frozen=True):
         return self.laps * self.lap_m
 
     def borders(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Distance to the borders, as `registration.Borders`:"""
+        """Return the distance from the nearest border, and its normal, as `course_fit.Borders` says."""
         left = np.abs(y)
         out = left - self.radius_m
         reach = np.maximum(np.sqrt(x * x + out * out), 1e-6)

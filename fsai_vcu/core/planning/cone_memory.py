@@ -104,7 +104,7 @@ class ConeMemory:
 
     @property
     def doubt(self) -> float:
-        """From 0 to 1: by cones that lately turned out to be none, and by how far known ones have moved together.
+        """The doubt in the cones, 0 to 1: how many lately turned out to be none, and how far known ones moved together.
 
         The detector errs, or the odometry.
         """

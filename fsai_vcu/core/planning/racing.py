@@ -46,6 +46,7 @@ class Racing:
     """Maps from the start; once a lap is closed, gives the race line. Until then, and in doubt, it gives no path."""
 
     def __init__(self, car: VehicleParameters, settings: PlannerSettings, motion: Motion) -> None:
+        """Begin at the pose of `motion`, with an empty map and without a race line."""
         self._car, self._settings = car, settings
         self._map = ConeMap(settings, motion)
         self._passages: list[LapState] = []  # the states right after the line was passed

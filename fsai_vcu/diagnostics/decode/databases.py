@@ -233,6 +233,7 @@ def _layout(message: Message) -> MessageLayout:
 
 
 def _signal_layout(signal: Signal) -> SignalLayout:
+    """Return what the decoder needs of a signal: its bits, scale, unit, choices, limits and comment."""
     return SignalLayout(
         signal.name,
         _lowest_bit(signal),

@@ -192,7 +192,7 @@ def bus(machine: Machine) -> Iterator[Finding]:
 
 
 def _traffic(seen: BusTraffic) -> Iterator[Finding]:
-    """The finding on who sends on a bus."""
+    """Yield the finding on the senders of a bus."""
     if seen.problem:
         yield _wrong("bus", seen.problem, "first put the interface right")
         return

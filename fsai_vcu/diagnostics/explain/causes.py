@@ -110,7 +110,9 @@ _OWN: Final[Mapping[str, str]] = {
     "ai_message_length": "a message of the AI computer had the wrong length, which the VCU takes for missing",
     "handshake_lost": "the AI computer did not echo the handshake within 100 ms",
     "echo_wrong": "the AI computer sent back another HANDSHAKE bit than the last 0x520 had",
-    "handshake_stands": "HANDSHAKE of 0x520 stood still though its echo came: the VCU hung, or does not hear the echo",
+    "handshake_stands": (
+        "HANDSHAKE of 0x520 stood still though its echo came: the VCU has hung, or does not receive the echo"
+    ),
     "ai_unheard": "the AI computer's messages are in this log, but the VCU did not receive them all",
     "not_selected_simulator": (
         "MISSION_STATUS became NOT_SELECTED, which this VCU (like the official simulator) takes as AS_OFF at once"

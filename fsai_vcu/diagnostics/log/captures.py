@@ -129,7 +129,7 @@ def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
         elif kind == _PACKET and size >= 32:
             number, high, low, length, whole = struct.unpack_from(f"{order}LLLLL", body)
             if number >= len(interfaces) or length > len(body) - 24:
-                raise ReadingEnds("a packet that is none")
+                raise ReadingEnds("an invalid packet")
             link, channel, units = interfaces[number]
             yield link, channel, (high << 32 | low) * 1_000_000_000 // units, body[20 : 20 + length], whole, order
         elif kind == _SIMPLE:

@@ -60,7 +60,7 @@ def texts_of(texts: Sequence[str]) -> Texts:
 
 
 def number_texts(numbers: npt.NDArray[Any], singly: Callable[[Sequence[Any]], Sequence[str]]) -> Texts:
-    """At least one number, each as `repr` writes it; `singly` writes the unusually large and small, and objects."""
+    """Return numbers, at least one, as `repr` writes them; `singly` writes very large and small ones, and objects."""
     if numbers.dtype == np.object_:
         return texts_of(singly(numbers.tolist()))
     text = bytes(_LONGEST) + msgspec.json.encode(numbers.tolist())

@@ -185,7 +185,7 @@ class LiveSource:
         if self.lost is not None:
             yield self.lost
         if overrun := sum(listener.overrun for listener in self._listeners):
-            yield f"{overrun} frames were lost: whoever reads the output is too slow for the bus"
+            yield f"{overrun} frames were lost: the program that reads the output is too slow for the bus"
 
     @property
     def dropped(self) -> int:

@@ -161,7 +161,7 @@ def _group_frames(
         times = signal.timestamps + start_s
         timely = (times >= 0) & (times <= MAX_SECONDS)
         for time in times[~timely].tolist():
-            problem(f"a time that is none: {time}")
+            problem(f"an invalid time: {time}")
         t_ns = np.rint(np.where(timely, times, 0) * 1e6).astype(np.int64) * 1000
         yield _frames(columns, t_ns, kind, channels).only(timely)
         read += len(times)

@@ -103,7 +103,7 @@ class KvaserRows(Rows):
         return False  # a row of which the direction is missing is none, and one cut in its time looks whole
 
     def __call__(self, line: str) -> LogFrame | None:
-        """Return the frame on a line of CANKing; None for lines that are none."""
+        """Return the frame on a line of CANKing; None for any other line."""
         text = line.strip()
         if KVASER.match(line) or not text:
             return None

@@ -16,9 +16,9 @@ from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import ms
 
 LOST_HERE: Final = "lost_in_receive_buffer"
-"""In a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
+"""Key in a segment's JSON file: frames for which the recording machine had no room; null where that is not known."""
 STOOD_STILL: Final = "stood_still_ns"
-"""In a segment's JSON file: [from, to] in ns since 1970 of each time at which the recording machine stood still."""
+"""Key in a segment's JSON file: [from, to] in ns since 1970 of each time at which the recording machine stood still."""
 UNEXPLAINED_NS: Final = COMMS_LOST_NS // 2
 """The rest of a silence beside the stalls from which on it has another cause."""
 _MOST_LOST: Final = 1 << 63  # no counter of a kernel goes further

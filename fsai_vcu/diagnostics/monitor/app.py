@@ -253,7 +253,7 @@ class MonitorApp(App[None]):
         self._show()
 
     def _type_into(self, widget: Widget) -> None:
-        """At once, and not behind the keys that were typed since: a busy machine may have let them wait together."""
+        """Set the focus at once, not behind the keys typed since: a busy machine may have let them wait together."""
         self.screen.set_focus(widget)
 
     def action_next_page(self) -> None:

@@ -350,6 +350,7 @@ class _Judge:
                 yield _Pause(message, words, False)
 
     def _pause(self, pause: list[_Pause]) -> Finding:
+        """Return the finding on messages that paused at one time; a pause of many is told as one of the bus."""
         ids = tuple(sorted(one.message.can_id for one in pause))
         grave = any(one.grave for one in pause)
         text, messages = pause[0].words, len(self.bus.messages)
@@ -384,7 +385,10 @@ def _shared(pause: list[_Pause]) -> tuple[int, int]:
 
 
 def _off(message: MessageStatistics, expected_ms: float, p50_ms: float) -> float:
-    """By which share it misses its period: a gap moves the mean, and a rhythm of short and long the median."""
+    """Return the share by which a message misses its period.
+
+    A gap moves the mean, and a rhythm of short and long the median: the smaller share counts.
+    """
     return min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
 
 

@@ -105,7 +105,7 @@ class Pursuit(Watched):
 
 
 class GivenPath:
-    """In the planner's place: a path of the world, as the car sees it."""
+    """A stand-in for the planner: it gives a path of the world, as the car sees it."""
 
     def __init__(self, lockstep: Lockstep, path_m: Floats, noise_m: float) -> None:
         self._world, self._path_m, self._noise_m = lockstep.world, path_m, noise_m

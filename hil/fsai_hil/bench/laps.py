@@ -52,26 +52,26 @@ class Forces:
         self._driven, self._held = newton / mass_kg, held / mass_kg
 
     def gained(self, speed: Floats, lateral: Floats) -> Floats:
-        """At full throttle, or as much of it as the driven tyres have left, m/s2; below 0 where they only slide."""
+        """Return the acceleration at full throttle, or what the driven tyres leave of it, m/s2; below 0: they slide."""
         facts = self._facts
         front, rear = (on / facts.driven_axles for on in (facts.driven_front, facts.driven_rear))
         left = self._left((front, rear), lateral, 1.0)
         return np.minimum(np.interp(speed, self._speeds, self._driven), left) - self._lost(speed, lateral)
 
     def braked(self, speed: Floats, lateral: Floats) -> Floats:
-        """With both axles at their grip, or the brakes at full pressure, m/s2."""
+        """Return the deceleration with both axles at their grip, or the brakes at full pressure, m/s2."""
         share = model.BRAKE_FRONT_SHARE
         left = self._left((share, 1.0 - share), lateral, -1.0)
         return np.minimum(self._facts.brake_full_mps2, left) + self._lost(speed, lateral)
 
     def _lost(self, speed: Floats, lateral: Floats) -> Floats:
-        """To air, rolling and the slip angle at which tyres hold the car in its bend."""
+        """Return the deceleration by air, rolling and the slip angle at which tyres hold the car in its bend, m/s2."""
         used = np.minimum(lateral / GRIP_MPS2, 1.0)
         sliding = lateral * np.tan(np.arcsin(used) / model.TYRE_C) / model.TYRE_B
         return np.interp(speed, self._speeds, self._held) + sliding
 
     def _left(self, shares: tuple[float, float], lateral: Floats, forward: float) -> Floats:
-        """Along, until the first axle that has such a share of it is at its grip, by its load."""
+        """Return the longitudinal acceleration at which the first axle with a share is at its grip, by its load."""
         facts, least = self._facts, np.full(np.shape(lateral), math.inf)
         ahead = facts.cog_ahead_of_rear_axle_m / facts.wheelbase_m
         for share, weight, way in ((shares[0], ahead, -forward), (shares[1], 1.0 - ahead, forward)):

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--runs", type=int, default=RUNS, metavar="N", help=f"runs from snapshots (default: {RUNS})")
     add("--full", type=int, default=FULL, metavar="N", help=f"full-length runs (default: {FULL})")
-    add("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
+    add("--seed", type=int, default=1, metavar="N", help="seed from which every case is drawn (default: 1)")
     add("--jobs", type=int, metavar="N", help="processes (default: one per processor)")
     add("--faults", metavar="A,B,…", help="only these kinds (default: all; see --list)")
     add("--missions", metavar="A,B,…", help="only these missions (default: all)")
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--world-seeds", type=int, metavar="N", help="different worlds that are driven in (default: 3)")
     add("--window", type=float, metavar="S", help="length of a run from a snapshot (default: 10 s)")
     add("--out", type=Path, default=Path("out/campaign"), metavar="DIR", help="default: out/campaign")
-    add("--resume", action="store_true", help="go on with the record in DIR; another one is kept by another name")
+    add("--resume", action="store_true", help="continue the record in DIR; one of other sources or options is renamed")
     add("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
     add("--list", action="store_true", help="list the kinds of fault")
     add("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")

@@ -47,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--soak",
         type=float,
         metavar="MINUTES",
-        help="instead: one mission after another for this time, with the verdict whether it stays flat",
+        help="instead: drive one mission after another for this time, and judge whether memory, file "
+        "descriptors, threads and echo times stay as they were at first",
     )
     parser.add_argument(
         "--with",
@@ -56,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NODE=PROGRAM",
         help="the part of the suite that drives, with a program of yours in the place of this node: FILE.py, MODULE or "
-        "an executable; may be given often",
+        "an executable; can be repeated",
     )
     add_place_arguments(parser)
     parser.add_argument(
@@ -73,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_place_arguments(parser: argparse.ArgumentParser) -> None:
     place = parser.add_mutually_exclusive_group()
-    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
+    place.add_argument("--native", action="store_true", help="run on this kernel's vcan; fail where it has none")
     place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
 
 

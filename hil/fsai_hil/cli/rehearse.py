@@ -40,17 +40,25 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
     parser.usage = "%(prog)s [BUS] [options] [-- COMMAND …]"
     add = parser.add_argument
     add_bus_argument(parser, "the bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)", "vcan0")
     add("--only", metavar="ITEM[,ITEM…]", help="only these items, and the scenes that show them")
-    add("--list", action="store_true", help="list the items: what is asked, and by whom")
+    add("--list", action="store_true", help="list the items: what each requires, and its source")
     add("--revision", default="2026", choices=("2021", "2026"), help="interface revision of the car (2026)")
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
     add("--pedals-once-a-cycle", action="store_true", help="a VCU that looks for torque with brake once a cycle")
     add("--truth", type=int, metavar="PORT", help="send the true pose to this UDP port of 127.0.0.1, for sensors")
     add("--no-gps", action="store_true", help="a car without the PCAN-GPS")
-    add("-o", "--out", type=Path, default=Path("out/rehearse"), metavar="DIR", help="for page and logs (%(default)s)")
+    add(
+        "-o",
+        "--out",
+        type=Path,
+        default=Path("out/rehearse"),
+        metavar="DIR",
+        help="folder for page and logs (%(default)s)",
+    )
     add("--json", action="store_true", help="print the result as one JSON object, the last line of stdout")
     add("--quiet", action="store_true", help="no progress lines")
 

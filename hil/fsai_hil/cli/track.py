@@ -31,8 +31,11 @@ EXAMPLE = "fsai-vcu track --seed 7 -o seven.csv --plot seven.png\n  fsai-vcu tra
 ABOUT = f"""\
 The rules: a lane of 3 m or more, straights of 80 m or less, turns of 50 m outside
 diameter or less, hairpins of 9 m or more, cones at most 5 m apart, a lap of 200 to
-500 m. Styles: mixed, open (wide turns), tight (hairpins from 9 m: tighter than a
-car with 21 deg of steering can turn). drive --track takes what is named here.
+500 m. Styles: mixed, open (wide turns), islands (mostly hairpins, whose straights
+can lie a lane's width apart), tight (hairpins from 9 m: tighter than a car with
+21 deg of steering can turn), sharp (corners, hairpins and chicanes from 1.4 m
+inside radius: the sharpest that the rules allow, and some sharper). drive --track
+takes what is named here.
 {fill(f"Files: {FILES} (YAML needs PyYAML).", 82)}
 The line is at the file's timing posts, else at its gate of big orange cones, else
 {BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between its rings. The car starts
@@ -43,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("track", nargs="?", metavar="FILE|NAME", help=f"a file, {', '.join(NAMES)}")
     add("--seed", type=int, metavar="N", help="instead: make a circuit, for a seed always the same")
-    add("--style", choices=list(STYLES), help="with --seed: what it is made of (mixed)")
+    add("--style", choices=list(STYLES), help="with --seed: the style of the circuit, as above (mixed)")
     add("-o", "--output", type=Path, metavar="FILE.csv", help="save the track")
     add("--plot", type=Path, metavar="FILE.png", help="save a picture of the track")
     add("--json", action="store_true", help="print the facts as one JSON object")

@@ -120,7 +120,10 @@ _AT_REST: Final = standing_start(0)
 
 
 class Abstraction:
-    """For one configuration. `sends_fail`, `data_may_be_lost`: what the environment may do besides."""
+    """Takes the bridge's state apart into content and ages, without what nobody looks at, for one configuration.
+
+    `sends_fail`, `data_may_be_lost`: what the environment may do besides.
+    """
 
     def __init__(self, config: BridgeConfig, *, sends_fail: bool, data_may_be_lost: bool) -> None:
         self.edges = edges_of(_BRIDGE, config)
@@ -182,6 +185,7 @@ class Abstraction:
         )
 
     def _supervisor(self, s: SupervisorState, command: VehicleCommand | None, over: bool, now: int) -> SupervisorState:
+        """Return the supervisor's state without times and latches that no later cycle looks at (`forgotten`)."""
         c, driving, stop = self._config, s.driving, s.stop
         still_since_ns, speeds_ns = s.still_since_ns, s.speeds_ns
         if still_since_ns is not None:  # it counts up to the last wheel speeds, while those are fresh

@@ -34,7 +34,7 @@ AFTER_S: Final = 3.0  # of a log behind what ended its drive
 
 
 class Moment(NamedTuple):
-    """So many seconds after the first frame of a state, after the log's begin or (negative) before its end."""
+    """A time in a log: seconds after the first frame of a state, after the log's begin or (negative) before its end."""
 
     state: AsState | None
     seconds: float
@@ -401,7 +401,7 @@ def stays(state: AsState, seconds: float) -> Act:
 
 
 def never_moves(seconds: float = 10.0) -> Act:
-    """In AS_DRIVING no wheel turns and no torque is measured; the log ends so many seconds after it began."""
+    """No wheel turns and no torque is measured in AS_DRIVING; the log ends so many seconds after that began."""
     since = driving(0.0)
     rests: dict[Signal, float | Changed] = dict.fromkeys((*sig.WHEELS, *sig.CAR_TORQUE, sig.TORQUE_R), 0.0)
     brakes: dict[Signal, float | Changed] = dict.fromkeys(

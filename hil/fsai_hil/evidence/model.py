@@ -341,6 +341,7 @@ class Composition:
     # ------------------------------------------------------------ the wire
 
     def _encode(self, asked: AiCommand) -> Encoded:
+        """Return a command on the wire; each command that differs is encoded and checked once."""
         made = self._encoded.get(asked)
         if made is None:
             images: list[tuple[int, AiImage]] = []

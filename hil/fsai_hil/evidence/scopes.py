@@ -219,6 +219,7 @@ def _frame(can_id: int, kind: type[Any], now: int, *values: float) -> CarFrame:
 def _status_frame(
     bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int
 ) -> CarFrame:
+    """Return 0x520 as the VCU sends it now; `marks` name the fault bits and values that differ from a sound car's."""
     shown = {name: value for mark in marks for name, value in MARKS[mark].items()}
     faults = m.Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
     image = replace(

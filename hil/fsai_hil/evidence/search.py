@@ -97,7 +97,10 @@ class _Visit:
         return False
 
     def misses_the_end(self, name: str, label: int, bound_ns: int) -> bool:
-        """From every state, under one ending: how long until a safe state? Never, or too late, is a problem."""
+        """Return whether the safe end comes never or too late after some state, under one ending.
+
+        It is noted as a problem, with the way to it; otherwise the longest time until the safe end is noted.
+        """
         found, ways = self.found, self._onward[label]
         safe = [self._model.safe(state) for state in self._states]
         left: list[int | None] = [0 if is_safe else None for is_safe in safe]  # time to the safe end

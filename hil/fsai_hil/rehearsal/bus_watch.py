@@ -86,7 +86,7 @@ class Wire:
         return max((t_ns - since_ns for t_ns, image in wheels if not standing(image)), default=0)
 
     def longest_gap(self, since_ns: int) -> int:
-        """Between two frames with the AI computer's status."""
+        """Return the longest time between two frames with the AI computer's status, in ns; 0 where there are none."""
         times = [t_ns for t_ns, _ in self.images(AiStatus, since_ns)]
         return max((later - earlier for earlier, later in pairwise(times)), default=0)
 

@@ -85,7 +85,7 @@ class RosOperator:
             raise StackError(f"waited {timeout_s:g} s in vain: {what}; {self.describe()}")
 
     def await_bridge(self, timeout_s: float) -> None:
-        """Until the bridge offers its services and its action."""
+        """Listen until the bridge offers its services and its action. Raises StackError as `await_that`."""
         clients = (self._set_mode, *self._triggers.values())
         self.await_that(
             lambda: all(client.service_is_ready() for client in clients) and self._run_mission.server_is_ready(),

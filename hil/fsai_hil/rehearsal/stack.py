@@ -112,7 +112,7 @@ class RunningProcess:
             raise StackError(f"{self.name} ended with status {self.popen.returncode}:{self.last_words()}")
 
     def await_log(self, words: str, timeout_s: float) -> None:
-        """Until the process has printed `words`. Raises StackError when it ends without, or is late."""
+        """Wait until the process has printed `words`. Raises StackError when it ends without, or is late."""
 
         def printed() -> bool:
             alive = self.alive  # what it printed before its end counts

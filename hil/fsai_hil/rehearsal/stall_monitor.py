@@ -59,8 +59,10 @@ class StallMonitor:
             time.sleep(SLEEP_NS / 1e9)
 
     def stalls(self, since_ns: int, at_least_ns: int = NOTED_NS) -> list[tuple[int, int]]:
-        """From and to of each time of `at_least_ns` or longer since then at which the machine stood still, as
-        CLOCK_MONOTONIC."""
+        """Return from and to of each time since then at which the machine stood still, by CLOCK_MONOTONIC.
+
+        at_least_ns: shorter ones do not count.
+        """
         lines = self._path.read_text().rpartition("\n")[0].splitlines()  # the last may be just being written
         stalls = [(int(due), int(woken)) for due, woken in map(str.split, lines) if due.isdigit()]
         return [(due, woken) for due, woken in stalls if woken >= since_ns and woken - due >= at_least_ns]

@@ -547,7 +547,7 @@ class BusView:
 
     @property
     def commands_count(self) -> bool:
-        """By what 0x520 says of the AS state."""
+        """Return whether commands count: the AS state in 0x520 is fresh and settled."""
         return self.status_fresh and self.state_settled
 
     @property

@@ -45,7 +45,7 @@ Check = Callable[[BusView, Any], Iterator[str]]
 CHECKS: Final[dict[bool, dict[str, list[tuple[str, Check]]]]] = {
     process: {kind: [] for kind in ("0x510", "drive", "torque", "0x513", "0x514")} for process in (False, True)
 }
-"""By whether it is known what the process is given."""
+"""The rules by kind of frame, without (False) and with (True) knowledge of what the process is given."""
 
 
 def rule(name: str, *kinds: str, of_process: bool = False) -> Callable[[Check], Check]:
@@ -76,7 +76,7 @@ def _apart(v: BusView, ai: AiStatus) -> Iterator[str]:
 
 @rule("8", "0x510", of_process=True)
 def _ends(v: BusView, ai: AiStatus) -> Iterator[str]:
-    """On stop: five cycles, then silence."""
+    """The process sends five cycles on stop, then nothing."""
     ended, process = v.seen.ended, v.process
     if ended is not None and process is not None and ended > process.stop_cycles:
         yield "frames are sent after the orderly end"
@@ -115,7 +115,7 @@ def _stands(v: BusView, ai: AiStatus) -> Iterator[str]:
 
 @rule("5", "0x510")
 def _waits(v: BusView, ai: AiStatus) -> Iterator[str]:
-    """In AS_INIT, AS_OFF and AS_READY: NEUTRAL, MISSION_STATUS at most SELECTED, as the output table has it."""
+    """NEUTRAL and MISSION_STATUS at most SELECTED are sent in AS_INIT, AS_OFF and AS_READY, as in the output table."""
     if not v.idle:
         return
     s = v.seen
@@ -330,7 +330,7 @@ def _brakes_by(v: BusView, axle: Axle) -> bool:
 
 @rule("5", "0x513")
 def _steers_idle(v: BusView, steer: AiSteer) -> Iterator[str]:
-    """In AS_INIT, AS_OFF and AS_READY: zero steering."""
+    """Steering is zero in AS_INIT, AS_OFF and AS_READY."""
     if steer.steer_deg != 0.0 and v.idle:
         yield f"steering {steer.steer_deg:.1f} deg in {v.states[-1].label if v.states else 'no AS state'}"
 
@@ -382,7 +382,7 @@ def _within_rate(v: BusView, steer: AiSteer) -> Iterator[str]:
 
 @rule("output table", "0x513", of_process=True)
 def _steers(v: BusView, steer: AiSteer) -> Iterator[str]:
-    """In AS_DRIVING steering follows the command, or is held; it is zero in the first 3 s and at the end."""
+    """Steering follows the command in AS_DRIVING, or is held; it is zero in the first 3 s and at the end."""
     s, deg, order = v.seen, steer.steer_deg, v.order
     if s.as_state is not AsState.AS_DRIVING or s.driving_ns is None:
         return

@@ -113,7 +113,7 @@ class Reactions(BusView):
             self._alarm("the car still moves long after the stop began")
 
     def _without_command_ns(self, supervised_ns: int, age_ns: int | None) -> int:
-        """For how long no cycle has had a fresh command: one on old data ends nothing."""
+        """Return for how long no cycle has had a fresh command: one on old data ends nothing."""
         s = self.seen
         without_ns = supervised_ns if age_ns is None else min(supervised_ns, age_ns)
         if without_ns < n.COMMAND_FRESH_NS:
@@ -123,7 +123,7 @@ class Reactions(BusView):
         return without_ns if s.stale_ns is None else max(without_ns, self.now_ns - s.stale_ns)
 
     def missing_ns(self, t_ns: int | None) -> int:
-        """For how long something has not been received that could have been."""
+        """Return for how long something has not been received that could have been."""
         if t_ns is None:
             return S
         return self.now_ns - (t_ns if self.seen.back_ns is None else max(t_ns, self.seen.back_ns))
@@ -132,7 +132,7 @@ class Reactions(BusView):
         return -1 if t_ns is None else self.now_ns - t_ns
 
     def certain_since_ns(self, *, steering: bool) -> int:
-        """For how long the process can have known what is certainly implausible."""
+        """Return for how long the process can have known what is certainly implausible; -1 where nothing is."""
         plausibility, driving_ns = self._plausibility, self.seen.driving_ns
         if plausibility is None or driving_ns is None:
             return -1

@@ -46,7 +46,7 @@ class ResponseTimes:
         return [(edge, more - less) for edge, more, less in zip([*BINS_MS, None], above, above[1:], strict=False)]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; times in ms are null while there is none."""
+        """Return the figures as an object for JSON; times in ms are null while there is none."""
         percentiles = {"p50_ms": 0.5, "p99_ms": 0.99, "p999_ms": 0.999, "max_ms": 1.0}
         times_ms = {name: self.quantile_ms(share) for name, share in percentiles.items()}
         return {

@@ -76,7 +76,7 @@ def _in_world(pose: Pose, xy_m: Floats) -> Floats:
 
 
 def why_not(path: Path) -> str | None:
-    """Why there can be no film of that name, in one line; None where there can."""
+    """Return in one line why there can be no film of that name; None where there can."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:

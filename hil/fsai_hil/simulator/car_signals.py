@@ -1,4 +1,4 @@
-"""Between the VCU and the car: what its sensors read, and what its actuators are ordered."""
+"""Signals between the VCU and the car: what its sensors read, and what its actuators are ordered."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class JudgeVerdict(Value, frozen=True):
         return self.result == "pass"
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; as_states become objects."""
+        """Return the verdict as an object for JSON; as_states become objects."""
         found = asdict(self)
         found["as_states"] = [{"state": state, "t_s": round(t, 3)} for state, t in self.as_states]
         return found
@@ -456,7 +456,7 @@ _CRITERIA: Final[Mapping[Ami, _Criteria]] = MappingProxyType(
 
 
 def check_track(track: Track, mission: Ami) -> str | None:
-    """Why a mission cannot be judged on a track; None when it can."""
+    """Return why a mission cannot be judged on a track; None when it can."""
     criteria = _CRITERIA.get(mission)
     if criteria is None:
         return f"{mission.label} is no mission"

@@ -50,7 +50,7 @@ class LockstepResult(Value, frozen=True):
         return self.verdict.passed and self.wire.ok
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: the verdict's keys and the run's own."""
+        """Return the result as an object for JSON: the verdict's keys and the run's own."""
         reasons = [*self.verdict.reasons, *(f"on the wire: {violation}" for violation in self.wire.violations[:10])]
         return {
             **self.verdict.as_dict(),

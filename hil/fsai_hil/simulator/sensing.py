@@ -106,7 +106,7 @@ class ConeSensor:
 
 
 def _other(colors: Ints, chance: Floats) -> Ints:
-    """For each cone a colour that is not its own."""
+    """Return for each cone a colour that is not its own."""
     index = np.searchsorted(COLOURED, np.clip(colors, COLOURED[0], COLOURED[-1]))
     shift = 1 + (chance * (len(COLOURED) - 1)).astype(np.int64)
     return np.asarray(COLOURED[(index + shift) % len(COLOURED)], dtype=np.int64)

@@ -306,7 +306,7 @@ def boot(
 
 
 def _settle(cpu: int) -> None:
-    """In the child: onto one processor, ahead of others there where allowed, and to end with the parent."""
+    """Put the child onto one processor, ahead of others there where allowed; it ends with the parent."""
     os.sched_setaffinity(0, {cpu})
     # A rehearsal in real time shares that processor badly: each hand-over between two processes is a wake-up, at which
     # another's turn may come first. So others get a hundredth of it. (Real-time scheduling would be worse: what is

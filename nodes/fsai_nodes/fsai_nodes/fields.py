@@ -106,7 +106,7 @@ class Whole(Kind):
 
 @dataclass(frozen=True, slots=True)
 class Text(Kind):
-    """At most `most` characters of one printable line; choices: one of them.
+    """Text of at most `most` characters on one printable line; choices: it is one of them.
 
     any_case: in small letters or not. lines: it may have several, and control characters: it is not put into a log.
     """

@@ -236,7 +236,7 @@ def run(started: Sequence[Program]) -> int:
 
 
 def rehearsed(started: Sequence[Program], folder: str) -> tuple[int, str]:
-    """As `run`, and how this computer was too busy meanwhile, in words; '' if it was not.
+    """Run the programs as `run` does; return also how this computer was too busy meanwhile, in words, or ''.
 
     When it was is written beside the logs in `folder`, if one is named: what is said of them later needs it.
     """

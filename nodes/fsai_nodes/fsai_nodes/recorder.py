@@ -37,7 +37,7 @@ class TopicRecorder(Listener):
     """Receives topics from `start` to `stop`; `fetch` gives what was received, `news` what people should know."""
 
     def __init__(self, topics: Iterable[str] = PROJECT_TOPICS, namespace: str = "/") -> None:
-        """A topic without a / at its beginning is one of `namespace`. Raises ValueError where that is none."""
+        """A topic without a / at its beginning is one of `namespace`. Raises ValueError where that is invalid."""
         self._received: deque[RosMessage] = deque()
         self._news: deque[str] = deque()
         self._told = False  # that receiving has failed

@@ -27,7 +27,7 @@ Task = tuple[bool, int]  # full-length or not, and the case's number
 
 
 class Since(Enum):
-    """From when a fault's moment counts."""
+    """The begin from which a fault's moment counts."""
 
     START = "start"
     READY = "ready"

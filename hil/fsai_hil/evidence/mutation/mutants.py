@@ -69,7 +69,7 @@ def _children(node: Any) -> Iterator[tuple[str, Any, int | str, Any]]:
 
 
 def _text(statement: ast.AST) -> str:
-    """As Python writes it; of what has a body, the head."""
+    """Return a statement as Python writes it; of one that has a body, the head."""
     blocks = ("body", "orelse", "finalbody", "handlers", "decorator_list")
     return ast.unparse(_with(statement, **{name: [] for name in blocks if hasattr(statement, name)}))
 

@@ -80,7 +80,7 @@ def send_to(address: str, port: int) -> None:
 
 
 def receive_on(port: int, seconds: float) -> None:
-    """From the network somebody keeps sending to this port (`wifi.talked_to`)."""
+    """Receive a packet on this port, to which `wifi.talked_to` keeps sending from the network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("0.0.0.0", port))
         listener.settimeout(seconds)

@@ -153,7 +153,7 @@ class Rehearsal:
         self.step("at the end all services are active", self.all_active, 60.0, SERVICE_BACK_S)
 
     def run(self) -> None:
-        """Until the machine is to be rebooted."""
+        """Play the scenes of the first boot, until the machine is to be rebooted."""
         self.booted()
         self.scene("the doctor", lambda: self.doctor(silent=True))
         exposure = output("systemd-analyze", "security", "--no-pager", f"{self.bridge}.service").strip().splitlines()
@@ -168,7 +168,10 @@ class Rehearsal:
         self.rebooted(1)
 
     def go_on(self, reboot: int) -> None:
-        """After a reboot in mid-drive, the `reboot`th; one that a disturbed machine made fail is to be had again."""
+        """Play the scenes after a reboot in mid-drive.
+
+        reboot: above 1 the machine disturbed the last one, which is repeated as the run of that number.
+        """
         self.booted()
         self.scene("after the reboot", self.after_the_reboot)
         if reboot > 1:
@@ -459,7 +462,7 @@ class Rehearsal:
         return started_s(self.bridge, "ExecMainStartTimestampMonotonic")
 
     def first_frame(self, watch: BusWatch) -> None:
-        """From the start of the bridge's newest process to the first frame that it sends."""
+        """Note the time from the start of the bridge's newest process to the first frame that it sends."""
         began_ns = int(self.bridge_began_s() * 1e9) + time.time_ns() - time.monotonic_ns()
         watch.wait(lambda: bool(watch.images(AiStatus, began_ns)), 5.0)
         first_s = in_s(watch.first(AiStatus, began_ns))
@@ -481,7 +484,7 @@ class Rehearsal:
             after.stop()
 
     def rebooted(self, run: int) -> None:
-        """In mid-drive; what is to be done after the next boot is in AGAIN."""
+        """Reboot the machine in mid-drive; AGAIN says what is to be done after the next boot."""
 
         def play() -> None:
             with self.drive("rebooted") as watch:

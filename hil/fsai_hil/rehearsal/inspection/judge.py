@@ -196,7 +196,7 @@ class InspectionJudge:
         self.why_not[self.scene] = why
 
     def silence(self, can_id: int, t_ns: int) -> None:
-        """From now on the car does not send that message any more."""
+        """Note that the car no longer sends that message from now on."""
         self._silence = Silence(can_id, t_ns, self.asks_torque)
 
     @property
@@ -642,7 +642,7 @@ class InspectionJudge:
 
 
 def items_named(names: Sequence[str]) -> tuple[Item, ...]:
-    """In the order of the table. Raises ValueError for a name that is none."""
+    """Return the named items, all for no name, in the order of the table. Raises ValueError for an unknown name."""
     unknown = [name for name in names if name not in BY_SLUG]
     if unknown:
         raise ValueError(f"no item '{unknown[0]}'{did_you_mean(unknown[0], BY_SLUG) or '; --list shows them'}")

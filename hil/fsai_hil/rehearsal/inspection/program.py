@@ -118,7 +118,7 @@ class RehearsalProcess(VcuProcess):
 
 
 def run_rehearsal(process: RehearsalProcess) -> None:
-    """Until it is over, or somebody ends it; the program and all that was started end with it. Raises OSError."""
+    """Run a rehearsal until its end or a signal; the program and all that was started end with it. Raises OSError."""
     # A car is never late: this one is not either, where that is allowed. But the program under test goes first.
     go_real_time(FIFO_PRIORITY - 10)
 

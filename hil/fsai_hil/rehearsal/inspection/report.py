@@ -43,7 +43,7 @@ def passed(results: Sequence[Result]) -> bool:
 
 
 def text(results: Sequence[Result]) -> str:
-    """For a terminal: what is wrong with the words of what is asked."""
+    """Return the results as lines for a terminal; what was seen and did not pass comes with what is asked."""
     lines = []
     for result in results:
         item, seen = result.item, list(result.seen)
@@ -57,7 +57,7 @@ def text(results: Sequence[Result]) -> str:
 
 
 def as_dict(results: Sequence[Result], about: Mapping[str, Any]) -> dict[str, Any]:
-    """For JSON."""
+    """Return the results as an object for JSON, with the facts of `about`."""
     result = "pass" if passed(results) else "fail"
     return {"result": result, "words": line(results), **about, "items": [each.as_dict() for each in results]}
 

@@ -162,7 +162,7 @@ def _ready(stage: Stage, mission: Ami, then: Callable[[], Script]) -> Script:
 
 
 def _drive(stage: Stage, mission: Ami, then: Callable[[], Script]) -> Script:
-    """From AS_OFF to AS_DRIVING, by the mission's choice, 5 s of AS_READY and Go."""
+    """The mission is chosen in AS_OFF, Go is given after 5 s of AS_READY, and AS_DRIVING reached."""
 
     def not_driving() -> None:
         why = f"never AS_DRIVING after Go: {stage.why_not_driving()}"
@@ -190,7 +190,7 @@ def _drive(stage: Stage, mission: Ami, then: Callable[[], Script]) -> Script:
 
 
 def _to_the_end(stage: Stage) -> Script:
-    """Until the mission is over, and a look at how it stands."""
+    """The mission is over, and the car is watched at standstill for 3 s."""
     return _reach(
         "waiting for the end of the mission",
         lambda car: car.assi in ENDED,
@@ -242,7 +242,7 @@ def _bus(stage: Stage) -> Script:
 
 
 def _static_a(stage: Stage) -> Script:
-    """With another mission chosen before it, and taken back."""
+    """Static inspection A is driven after another mission was chosen and taken back."""
 
     def chosen() -> Script:
         return (

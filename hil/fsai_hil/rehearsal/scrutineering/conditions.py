@@ -61,7 +61,10 @@ SHORT = ("idle", "idle-loaded")  # what needs no drive
 
 
 def conditions_named(names: Sequence[str]) -> tuple[LoadCondition, ...]:
-    """In the order of the table: the car comes on and never goes back. Raises WrongUse for an unknown name, or none."""
+    """Return the named conditions in the table's order, in which the car never goes back to an earlier state.
+
+    Raises WrongUse for an unknown name, or none.
+    """
     unknown = [name for name in names if name not in BY_NAME]
     if unknown or not names:
         what = f"'{unknown[0]}'" if unknown else "to measure"

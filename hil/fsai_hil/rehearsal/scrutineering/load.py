@@ -161,7 +161,7 @@ def keep_disk_busy(path: Path, force: bool) -> None:
 
 
 def watch_pit_wall(port: int) -> None:
-    """As viewers of the page do: each takes all that its stream of events gives."""
+    """Read the pit wall as viewers of the page do: each takes all that its stream of events gives."""
     with contextlib.ExitStack() as ending, DefaultSelector() as selector:
         for _ in range(VIEWERS):
             viewer = ending.enter_context(socket.create_connection(("127.0.0.1", port)))

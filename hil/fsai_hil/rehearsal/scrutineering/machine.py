@@ -1,4 +1,4 @@
-"""On what something was measured: facts for a report."""
+"""Facts for a report: the machine on which something was measured."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ class Measurement:
         raise StackError(f"the car does not come as far as {wanted.label}: {operator.describe()}")
 
     def _bring(self, wanted: AsState) -> None:
-        """Until it is there, or has ended on the way."""
+        """Bring the car to the wanted state; return earlier where its run ends on the way."""
         car, operator, stack = self._car, self._operator, self._stack
         assert car is not None
         if operator.state.as_state_label == wanted.label or wanted is AsState.AS_OFF:

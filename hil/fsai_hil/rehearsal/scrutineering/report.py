@@ -34,7 +34,7 @@ def failures(measured: Mapping[str, Any]) -> list[str]:
 
 
 def _late(row: Mapping[str, Any]) -> Iterator[str]:
-    """By the VCU's own limits."""
+    """Yield what is late by the VCU's own limits."""
     response = row["response"]
     if not response["count"]:
         yield "the VCU saw no echo at all"
@@ -47,7 +47,10 @@ def _late(row: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _slow(row: Mapping[str, Any]) -> Iterator[str]:
-    """Between the two frames on the bus: against fixed limits when nothing else goes on, and against the peer."""
+    """Yield what is slow between the two frames on the bus.
+
+    p50 and p99 have fixed limits when nothing else goes on; the maximum's limit and the peer's times count always.
+    """
     ours, peer = row["wire"], row["peer"]["wire"]
     if not ours["count"] or not peer["count"]:
         if row["response"]["count"]:
@@ -140,7 +143,7 @@ def markdown(measured: Mapping[str, Any]) -> str:
 
 
 def summary(measured: Mapping[str, Any]) -> str:
-    """For a terminal."""
+    """Return the measured times as a table for a terminal."""
     lines = []
     for title, key in (("on the bus", "wire"), ("as the VCU sees it", "response")):
         lines.append(

@@ -117,7 +117,7 @@ _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
 
 
 def _on_the_wire(side: str, ids: Iterable[int], how: str) -> Injection:
-    """On one side of the VCU, on those of `ids` (all, but for the one that a parameter `message` names)."""
+    """Return an injection into the frames of `ids` on one side of the VCU, or of the id in a parameter `message`."""
     make = _ON_THE_WIRE[how]
 
     def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
