@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.searched import SearchSetting
 from fsai_hil.evidence.small_car import SmallCar
 from fsai_hil.rules.numbers import CYCLE_NS, MS
 from fsai_hil.simulator.watched_bridge import WatchedBridge
@@ -29,11 +29,11 @@ from fsai_vcu.runtime.turns import Action, Do, Send, Turns
 
 MAX_CYCLES: Final = 1_500  # of the car, after a station: longer runs show nothing more
 SETUPS: Final = {
-    "2026": Setting(config=BridgeConfig(), limits=UNLIMITED),
-    "2021": Setting(config=BridgeConfig(), limits=UNLIMITED, revision="2021", car=CARS["2021"]),
-    "venue": Setting(config=BridgeConfig(), limits=OperationalLimits(5.0, 60.0, 15.0)),
-    "staging": Setting(config=BridgeConfig(autonomous_at_power_up=True), limits=UNLIMITED),
-    "listening": Setting(config=BridgeConfig(listen_only=True), limits=UNLIMITED),
+    "2026": SearchSetting(config=BridgeConfig(), limits=UNLIMITED),
+    "2021": SearchSetting(config=BridgeConfig(), limits=UNLIMITED, revision="2021", car=CARS["2021"]),
+    "venue": SearchSetting(config=BridgeConfig(), limits=OperationalLimits(5.0, 60.0, 15.0)),
+    "staging": SearchSetting(config=BridgeConfig(autonomous_at_power_up=True), limits=UNLIMITED),
+    "listening": SearchSetting(config=BridgeConfig(listen_only=True), limits=UNLIMITED),
 }
 WELL: Final = {"throttle": 0.4, "brake": 0.0, "speed_limit_mps": 8.0, "age_ms": 0.0, "run_offset": 0}
 
@@ -59,7 +59,7 @@ class RuleBroken(Exception):
 class Drive(SmallCar):
     """One process under test, a car of a few lines and the checker between them, at one instant of virtual time."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: SearchSetting) -> None:
         self.setting, self.codec, self.checker = setting, setting.codec, setting.checker()
         self.now_ns, self.cycles, self.reached = 1_000 * MS, 0, set[str]()
         self.angle_max_deg = self.codec.revision.steer_limit_deg

@@ -21,7 +21,7 @@ from msgspec import field
 from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import NOW
-from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.searched import SearchSetting
 from fsai_hil.evidence.small_car import WELL
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, MS, S
 from fsai_hil.rules.seen import NOBODY
@@ -332,12 +332,12 @@ class Scope(Value, frozen=True):
     driving: tuple[Choice, ...] = ()
     path: tuple[Choice, ...] = PATH
     endings: tuple[Ending, ...] = (STANDS, MOVES)
-    setting: Setting = field(default_factory=Setting)
+    setting: SearchSetting = field(default_factory=SearchSetting)
     reactions: tuple[Reason, ...] = ()
 
 
-_CONFIG: Final = Setting().config
-_AT_POWER_UP: Final = Setting(config=replace(_CONFIG, autonomous_at_power_up=True))
+_CONFIG: Final = SearchSetting().config
+_AT_POWER_UP: Final = SearchSetting(config=replace(_CONFIG, autonomous_at_power_up=True))
 _RUN: Final = Scope(
     "run",
     "people: mode requests, emergency brake, reset, Go, ASMS, TSMS, E-stop, faults, AMI, resets not confirmed; wheels "
@@ -396,7 +396,7 @@ SCOPES: Final = (
         "intruder, fault of the loop, bus lost and back, orderly end, frames that waited, in any order and at any time",
         _over(GO, event=HAPPENINGS),
         _over(_DRIVES, event=[None, *HAPPENINGS]),
-        setting=Setting(config=replace(_CONFIG, stop_cycles=2)),
+        setting=SearchSetting(config=replace(_CONFIG, stop_cycles=2)),
         reactions=(Reason.INTRUDER,),
     ),
     Scope(
@@ -488,7 +488,7 @@ SCOPES: Final = (
             *_over(_RIGHT, rpm=[(450,) * 4, (450, 300, 300, 501), (401, 300, 601, 450), (450, 701, 450, 401)]),
             *_over(_RIGHT, rpm=[MOVING], torque_max_nm=[40.0, 0.0]),
         ),
-        setting=Setting(revision="2021", car=CARS["2021"], first_state=_OFF),
+        setting=SearchSetting(revision="2021", car=CARS["2021"], first_state=_OFF),
     ),
     Scope(
         "power-up",
@@ -508,7 +508,7 @@ SCOPES: Final = (
         name="official simulator",
         # Its motors brake more weakly: a deceleration has 2 s to show, not 0.5 s.
         endings=(STANDS, replace(MOVES, within_ns=MOVES.within_ns + 1500 * MS)),
-        setting=Setting(
+        setting=SearchSetting(
             config=replace(official_simulator(), steer_rate_degps=1500.0),
             car=CARS["official-simulator"],
             profile=OFFICIAL_SIMULATOR,
@@ -527,7 +527,7 @@ SCOPES: Final = (
         ),
         path=(),
         endings=(),  # a process that never sends brings no car to any end
-        setting=Setting(config=replace(_CONFIG, listen_only=True)),
+        setting=SearchSetting(config=replace(_CONFIG, listen_only=True)),
     ),
 )
 """Every scope of the full search."""

@@ -124,7 +124,7 @@ class Seen(Struct):
     whole: bool = True  # the last cycle that was made went out whole
 
 
-class Parts:
+class FieldParts:
     """The fields of a value apart: its times, by their declarations, and the others."""
 
     def __init__(self, made: type[Any]) -> None:
@@ -144,7 +144,7 @@ class Parts:
         return dict(zip(self._names, (*others, *been), strict=True))
 
 
-PARTS: Final = Parts(Seen)
+PARTS: Final = FieldParts(Seen)
 EDGES: Final = (
     *map(edges_ns, PARTS.ages),
     *(row.edges_ns for row in SHOWN),
