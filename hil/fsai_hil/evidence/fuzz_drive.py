@@ -21,9 +21,9 @@ from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiSteer, Image, WheelCounts, command_of
 from fsai_vcu.runtime.link import Ask, Message, ResetConfirmed
 from fsai_vcu.runtime.turns import Action, Do, Send, Turns
 
@@ -68,7 +68,7 @@ class Drive(SmallCar):
         self.period_ns, self.late_ns = CYCLE_NS, 0  # of the car; of the loop
         self.fields: dict[str, Any] = {}  # of the controller's command
         self.spoilt: dict[type, tuple[tuple[str, ...], int | None, int]] = {}  # fields, their bits, until which cycle
-        self.asked = {kind: kind() for kind in (m.AiDriveFront, m.AiDriveRear, m.AiSteer, m.AiBrake)}
+        self.asked = {kind: kind() for kind in (AiDriveFront, AiDriveRear, AiSteer, AiBrake)}
         self.speed_rpm, self.turned, self.dropping = 0.0, 0.0, (0, 0)
         self.begin(1)
 
@@ -170,11 +170,11 @@ class Drive(SmallCar):
 
     # ------------------------------------------------------------ car and loop
 
-    def images(self) -> tuple[m.Image, ...]:
+    def images(self) -> tuple[Image, ...]:
         """Return what the car reports in one of its cycles."""
-        self.rpm, self.heard = round(self.speed_rpm), m.command_of(self.asked)
+        self.rpm, self.heard = round(self.speed_rpm), command_of(self.asked)
         count = int(self.turned * self.setting.car.wheel_pulses_per_rev) % 0x10000
-        return (*super().images(), m.WheelCounts(*[count] * 4))
+        return (*super().images(), WheelCounts(*[count] * 4))
 
     def car_sends(self) -> None:
         """Move the car by one of its cycles, and send the messages that it has not lost."""

@@ -34,10 +34,10 @@ from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import CHANGES
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.codec import Decoded
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import Faults, Image, VcuBrake, VcuDriveFront, VcuDriveRear, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.specification import EMERGENCY_TIMER_NS, READY_WAIT_NS
 from fsai_vcu.interface.values import Value
 
@@ -174,7 +174,7 @@ MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
     "OP_STATE becomes FAULT": {"op_state": OpState.OP_FAULT},
 }
 """Marks that 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
-_BITS: Final = m.Faults.__struct_fields__
+_BITS: Final = Faults.__struct_fields__
 
 
 class CarFrame(Frame, frozen=True):
@@ -199,19 +199,19 @@ def frames_of(choice: Choice, vcu: Vcu, now: int) -> Iterator[CarFrame]:
     elif STATUS not in choice.lost:
         yield _status_frame(vcu.bit, choice.go, vcu.state, choice.ami, choice.fault, choice.marks, now)
     if AXLES not in choice.lost:
-        yield _frame(0x521, m.VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
-        yield _frame(0x522, m.VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(0x521, VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(0x522, VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
     if STEER not in choice.lost:
-        yield _frame(0x523, m.VcuSteer, now, 0.0, choice.angle_max_deg)
+        yield _frame(0x523, VcuSteer, now, 0.0, choice.angle_max_deg)
     if BRAKE not in choice.lost:
-        yield _frame(0x524, m.VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
+        yield _frame(0x524, VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
     if SPEEDS not in choice.lost:
-        yield _frame(0x525, m.WheelSpeeds, now, *choice.rpm)
+        yield _frame(0x525, WheelSpeeds, now, *choice.rpm)
 
 
 @cache  # the same few come again and again
 def _frame(can_id: int, kind: type[Any], now: int, *values: float) -> CarFrame:
-    image: m.Image = kind(*values, t_rx_ns=now)
+    image: Image = kind(*values, t_rx_ns=now)
     return CarFrame(can_id, b"", now, decoded=Decoded(image, (), None))
 
 
@@ -220,7 +220,7 @@ def _status_frame(
     bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int
 ) -> CarFrame:
     shown = {name: value for mark in marks for name, value in MARKS[mark].items()}
-    faults = m.Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
+    faults = Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
     image = replace(
         _WELL_STATUS,
         handshake=bit,
