@@ -129,6 +129,18 @@ FORBIDDEN = {
     "fsai_hil.evidence": ROS | {"fsai_vcu.cli"},
 }
 
+# class name that more than one module defines -> what tells its classes apart, a word for each
+NAMED_ALIKE = {
+    "Bounds": ("process", "recording"),
+    "Format": ("log", "track"),
+    "Listener": ("bus", "topics"),
+    "Server": ("any", "foxglove", "page"),
+    "Signal": ("interface", "explanation"),
+    "Verdict": ("log", "item"),
+    "View": ("bus", "animation"),
+    "_Table": ("columns", "slots"),
+}
+
 
 @cache
 def modules() -> dict[str, Path]:
@@ -230,6 +242,31 @@ def test_every_verb_has_its_file_and_an_example() -> None:
     assert set(all_verbs()) >= {"drive", "vcu", "hil", "campaign", "scrutineering", "decode", "explain"}
     for verb in all_verbs():
         assert module_of(verb).EXAMPLE
+
+
+def test_a_class_name_stands_in_one_module_only() -> None:
+    found: dict[str, set[str]] = {}
+    for module, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault(node.name, set()).add(module)
+    alike = {name: sorted(places) for name, places in found.items() if len(places) > 1}
+    surplus = {name: places for name, places in alike.items() if len(places) > len(NAMED_ALIKE.get(name, ()))}
+    assert surplus == {}, "give the new class the name of its own meaning"
+    stale = {name for name, words in NAMED_ALIKE.items() if len(alike.get(name, ())) < len(words)}
+    assert stale == set(), "these classes are no longer named alike: take them from NAMED_ALIKE"
+
+
+def test_no_import_has_a_name_of_one_letter() -> None:
+    letters = {
+        (module, alias.asname)
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for alias in node.names
+        if alias.asname and len(alias.asname) == 1
+    }
+    assert letters == set()
 
 
 @cache

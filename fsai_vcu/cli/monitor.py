@@ -23,7 +23,7 @@ from fsai_vcu.diagnostics.explain.record import NoFrames
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.monitor.snapshot import plain_line
-from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
+from fsai_vcu.diagnostics.monitor.sources import Live, PlayedLog, Source, TimedPicture
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.diagnostics.verdict.verdict import Verdict
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     ahead = sources.files or still  # what is played while it is piped in may be without end: it is not kept
     read: list[Frames] = []
     frames = _noted(chain(first, chunks), read) if ahead else chain(first, chunks)
-    log = Log(
+    log = PlayedLog(
         (each.only(each.t_ns <= until_ns) for each in frames),
         view,
         (start_ns - begin_ns) / S if math.isfinite(start_ns) else None,
@@ -192,7 +192,7 @@ def _draw(source: Source, every_s: float, patterns: list[str]) -> int:
     return app.return_code or 0
 
 
-def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> None:
+def _print_whole(moment: TimedPicture, width: int, height: int, most: int | None) -> None:
     """Print the moment once, as lines that stay, at most so many."""
     from rich.console import Console
 
@@ -221,7 +221,7 @@ def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json
             if source.ended or not source.playing:
                 break
     except KeyboardInterrupt:
-        if isinstance(source, Log):
+        if isinstance(source, PlayedLog):
             raise
     finally:
         source.close()

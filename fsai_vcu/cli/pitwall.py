@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the arguments, then serve a bus or a log as a web page."""
     os.nice(5)  # what drives the car goes first, and it takes a while to load what follows
-    from fsai_vcu.diagnostics.monitor.sources import Live, Log
+    from fsai_vcu.diagnostics.monitor.sources import Live, PlayedLog
     from fsai_vcu.diagnostics.monitor.view import View
 
     try:
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
             low_ns, high_ns = part.bounds(begin_ns)
             frames = (each.only(each.t_ns <= high_ns) for each in chain(first, chunks))
             from_s = (low_ns - begin_ns) / S if math.isfinite(low_ns) else None
-            source = Log(frames, view, from_s, args.rate or 1.0, keep=False)
+            source = PlayedLog(frames, view, from_s, args.rate or 1.0, keep=False)
             if source.empty:
                 return sources.status
         with closing(source), server, _nodes(args) as nodes:
@@ -154,7 +154,7 @@ def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argpa
     """Show the source until its bus is over. The picture is made as often as somebody looks, the story of the run once
     a second.
     """
-    from fsai_vcu.diagnostics.monitor.sources import Log
+    from fsai_vcu.diagnostics.monitor.sources import PlayedLog
     from fsai_vcu.diagnostics.page.board import events_of, state_of
     from fsai_vcu.diagnostics.page.trace import Trace
 
@@ -174,7 +174,7 @@ def _show(source: Source, server: Server, nodes: Callable[[], Said], args: argpa
         clock = words if source.playing else f"{words}: its end"
         pose = [round(each, 3) for each in trace.pose]
         server.publish("state", {**state_of(picture), "clock": clock, "pose": pose, **drawn, "run": run})
-        if source.ended and not isinstance(source, Log):
+        if source.ended and not isinstance(source, PlayedLog):
             return
         source.wait(min(SHOWN_S if server.viewers else UNSEEN_S, most_s))
         now_s = time.monotonic()

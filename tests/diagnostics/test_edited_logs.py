@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from fsai_hil.evidence.edited_logs import EDITS, Edit, sentences, told
-from fsai_hil.evidence.edits import Log, asks, driving, edited, good_run, never_moves, put
+from fsai_hil.evidence.edits import EditedLog, asks, driving, edited, good_run, never_moves, put
 from fsai_vcu.diagnostics.explain import Record, explained
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.conditions import all_met
@@ -24,7 +24,7 @@ SHORT = [edit for edit in EDITS if edit.run == "acceleration"][::4]
 
 
 @cache
-def good() -> Log:
+def good() -> EditedLog:
     return good_run("acceleration")
 
 

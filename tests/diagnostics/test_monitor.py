@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.monitor import sources
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, instruments, message_row, overview
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture, plain_line
-from fsai_vcu.diagnostics.monitor.sources import Live, Log
+from fsai_vcu.diagnostics.monitor.sources import Live, PlayedLog
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, TREND_NS, View
 from fsai_vcu.interface.enums import Ami, AsState
@@ -348,7 +348,7 @@ def test_events_are_remembered_an_hour_later_with_times() -> None:
 
 def test_any_moment_of_a_log_is_as_if_it_had_just_come(go_off: Ended) -> None:
     frames = go_off.frames
-    log = Log(iter(in_chunks(frames, 700 * MS)), View("can0"), 0.0, None)
+    log = PlayedLog(iter(in_chunks(frames, 700 * MS)), View("can0"), 0.0, None)
     begin_ns, end_ns = int(frames.t_ns[0]), int(frames.t_ns[-1])
     assert (log.begin_ns, log.end_ns, log.position_ns) == (begin_ns, end_ns, begin_ns)
     for t_ns in (end_ns, begin_ns + S // 3, begin_ns + 700 * MS, end_ns - S, begin_ns + 5 * S):
@@ -365,12 +365,12 @@ def test_an_old_emergency_brake_in_a_log_keeps_its_cause() -> None:
     frames = branch(driving(), lambda run: run.switch(asms=False), 2.0).frames
     last = frames.only(frames.t_ns > frames.t_ns[-1] - CYCLE)
     after = [last.at(last.t_ns + step) for step in range(CYCLE, 2 * LONG_NS, CYCLE)]
-    log = Log(iter([*in_chunks(frames), joined(after)]), View("can0"), None, None)
+    log = PlayedLog(iter([*in_chunks(frames), joined(after)]), View("can0"), None, None)
     assert "ASMS was turned off" in log.look().picture.why_not_driving[0].words
 
 
 def test_a_log_plays_and_pauses_and_begins_again_at_its_end() -> None:
-    log = Log(iter([every_cycle(0, 3 * S, OFF)]), View("can0"), None, 2.0)
+    log = PlayedLog(iter([every_cycle(0, 3 * S, OFF)]), View("can0"), None, 2.0)
     positions = []
     for seconds in (0.5, 0.5, 1.0):
         log.advance(seconds)
@@ -386,7 +386,7 @@ def test_a_log_plays_and_pauses_and_begins_again_at_its_end() -> None:
 
 def test_a_log_is_read_only_as_far_as_is_looked() -> None:
     chunks = iter(in_chunks(every_cycle(0, 60 * S, OFF), 700 * MS))
-    log = Log(chunks, View("can0"), None, 1.0)
+    log = PlayedLog(chunks, View("can0"), None, 1.0)
     log.advance(1.0)
     assert not log.ended and next(chunks).t_ns[0] < 4 * S
 

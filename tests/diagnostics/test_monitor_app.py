@@ -16,7 +16,7 @@ from textual.pilot import Pilot
 
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.monitor.app import MonitorApp
-from fsai_vcu.diagnostics.monitor.sources import Live, Log, Source
+from fsai_vcu.diagnostics.monitor.sources import Live, PlayedLog, Source
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.interface.units import S
 
@@ -36,8 +36,8 @@ def chunks(frames: Frames) -> Iterator[Frames]:
         yield frames.only((frames.t_ns >= begin_ns) & (frames.t_ns < begin_ns + S))
 
 
-def log_of(frames: Frames, at_s: float | None = None, rate: float | None = None) -> Log:
-    return Log(chunks(frames), View("run.log"), at_s, rate)
+def log_of(frames: Frames, at_s: float | None = None, rate: float | None = None) -> PlayedLog:
+    return PlayedLog(chunks(frames), View("run.log"), at_s, rate)
 
 
 def walk(source: Source, size: tuple[int, int], steps: Walk, *, signals: tuple[str, ...] = ()) -> MonitorApp:
@@ -97,7 +97,7 @@ def test_every_page_fits_and_says_its_keys(size: tuple[int, int], frames: Frames
 def test_keys_move_in_a_log(frames: Frames) -> None:
     async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
         log = app._source
-        assert isinstance(log, Log)
+        assert isinstance(log, PlayedLog)
 
         def shown_s() -> float:
             return float(lines(app)[0].split("■")[1].split(" of ")[0])

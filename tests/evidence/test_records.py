@@ -10,14 +10,14 @@ import pytest
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan
 from fsai_hil.evidence.campaign.runner import batches
-from fsai_hil.evidence.work import Record, RecordError, driven_files, read
+from fsai_hil.evidence.work import RecordError, RecordFile, driven_files, read
 
 KIND = "campaign"
 HEADER = {KIND: 1, "seed": 1}
 
 
 def written(path: Path, *results: Any) -> Path:
-    with Record(path, HEADER) as record:
+    with RecordFile(path, HEADER) as record:
         for result in results:
             record.add(result)
     return path
@@ -31,7 +31,7 @@ def test_what_was_written_is_read_again(tmp_path: Path) -> None:
 def test_a_line_cut_short_by_a_kill_is_left_out_and_written_over(tmp_path: Path) -> None:
     path = written(tmp_path / "record.jsonl", {"index": 0}, {"index": 1})
     path.write_bytes(path.read_bytes()[:-4])
-    with Record(path, HEADER) as record:
+    with RecordFile(path, HEADER) as record:
         assert record.results == [{"index": 0}]
         record.add({"index": 1})
     assert read(path, KIND) == (HEADER, [{"index": 0}, {"index": 1}])
@@ -41,15 +41,15 @@ def test_a_line_cut_short_by_a_kill_is_left_out_and_written_over(tmp_path: Path)
 @pytest.mark.parametrize(("header", "resume"), [({**HEADER, "seed": 2}, True), (HEADER, False)])
 def test_a_record_is_neither_mixed_nor_lost(tmp_path: Path, header: dict[str, Any], resume: bool) -> None:
     path = written(tmp_path / "record.jsonl", 1)
-    with Record(path, header, resume=resume) as record:
+    with RecordFile(path, header, resume=resume) as record:
         assert record.kept_as == tmp_path / "record-before-1.jsonl" and not record.results
     assert read(record.kept_as, KIND) == (HEADER, [1])
     assert read(path, KIND) == (header, [])
 
 
 def test_two_processes_do_not_write_to_one_record(tmp_path: Path) -> None:
-    with Record(tmp_path / "record.jsonl", HEADER), pytest.raises(RecordError, match="being written by another"):
-        Record(tmp_path / "record.jsonl", {**HEADER, "seed": 2})
+    with RecordFile(tmp_path / "record.jsonl", HEADER), pytest.raises(RecordError, match="being written by another"):
+        RecordFile(tmp_path / "record.jsonl", {**HEADER, "seed": 2})
 
 
 def test_the_digest_covers_the_code_that_decides_a_run() -> None:
@@ -72,7 +72,7 @@ def test_a_file_that_is_no_record_is_refused_and_kept(tmp_path: Path, text: str)
     path = tmp_path / "notes.txt"
     path.write_text(text)
     with pytest.raises(RecordError, match="not a"):
-        Record(path, HEADER)
+        RecordFile(path, HEADER)
     assert path.read_text() == text
 
 

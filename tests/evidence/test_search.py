@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from fsai_hil.evidence import __main__ as command
 from fsai_hil.evidence.__main__ import main
-from fsai_hil.evidence.abstraction import FRESH, NOW, Clocks, edges_of
+from fsai_hil.evidence.abstraction import FRESH, NOW, TimeFields, edges_of
 from fsai_hil.evidence.model import Composition, State
 from fsai_hil.evidence.scopes import DEAF, GO, MOVES, MOVING, PATH, SCOPES, STANDS, Scope, scope
 from fsai_hil.evidence.search import Move, Search, explore
@@ -136,32 +136,32 @@ class Outer(Value, frozen=True):
 
 def test_a_time_without_its_ages_fails_with_the_file_to_change() -> None:
     with pytest.raises(ValueError, match=r"test_search\.py: Later\.odd_since_ns is a time"):
-        Clocks(Later)
+        TimeFields(Later)
 
 
 def test_a_declaration_for_a_field_that_is_not_there_is_refused() -> None:
     with pytest.raises(ValueError, match="Latch has no until_ns"):
-        Clocks(Latch, {"until_ns": Ages()})
+        TimeFields(Latch, {"until_ns": Ages()})
 
 
 def test_times_within_values_are_taken_out_and_put_back() -> None:
-    clocks = Clocks(Outer)
+    times = TimeFields(Outer)
     value = Outer(Timed(status_ns=NOW - 7, odd_since_ns=NOW - 3, noted_ns=5), Latch(Asked.MANUAL, NOW - 1))
     ages: list[int] = []
-    content = clocks.apart(value, NOW, ages)
+    content = times.apart(value, NOW, ages)
     assert sorted(age for age in ages if 0 < age < 10) == [1, 3, 7]
     assert content == Outer(Timed(stop_window_ns=FRESH), Latch(Asked.MANUAL, FRESH))
-    assert clocks.whole(content, iter(ages)) == replace(value, supervisor=replace(value.supervisor, noted_ns=0))
-    edges = edges_of(clocks, BridgeConfig())
+    assert times.whole(content, iter(ages)) == replace(value, supervisor=replace(value.supervisor, noted_ns=0))
+    edges = edges_of(times, BridgeConfig())
     assert (300_000_000, 3_100_000_000) in edges
     assert (500_000_000,) in edges
     missing: list[int] = []
-    assert clocks.whole(clocks.apart(Outer(Timed()), NOW, missing), iter(missing)) == Outer(Timed())
+    assert times.whole(times.apart(Outer(Timed()), NOW, missing), iter(missing)) == Outer(Timed())
     assert len(missing) == len(ages)
 
 
 def test_each_time_of_the_state_has_ages_of_the_configuration() -> None:
-    edges = edges_of(Clocks(BridgeState), BridgeConfig())
+    edges = edges_of(TimeFields(BridgeState), BridgeConfig())
     assert len(edges) > 20
     assert sum(not any(ages) for ages in edges) == 1  # of the gate's last cycle no age matters
 
@@ -177,7 +177,7 @@ NO_AGES = {
 def test_each_time_of_the_configuration_is_an_age_in_the_state() -> None:
     """A reaction that comes after a new time, and whose state does not say so, would be searched at no edge of it."""
     declared = {
-        name for ages in Clocks(BridgeState).ages for at in (*ages.at, *ages.gap) for name in str(at).split(" + ")
+        name for ages in TimeFields(BridgeState).ages for at in (*ages.at, *ages.gap) for name in str(at).split(" + ")
     }
     configured = {name for name in BridgeConfig.__struct_fields__ if name.endswith("_ns")}
     unknown, missing = declared - configured, configured - declared - NO_AGES.keys()

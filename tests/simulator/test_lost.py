@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_hil.evidence.hard_sensing import Ending, HardDrive, Trouble, drawn
+from fsai_hil.evidence.hard_sensing import DriveEnd, HardDrive, Trouble, drawn
 from fsai_hil.simulator.tracks import generated_circuit, load_track
 from fsai_vcu.core.driving import LOST
 from fsai_vcu.interface.enums import Ami
@@ -20,7 +20,7 @@ from fsai_vcu.interface.enums import Ami
 )
 def test_a_lost_car_stops_in_its_lane_and_says_why(mission: Ami, track: str, trouble: Trouble) -> None:
     drive = HardDrive(mission, load_track(track), trouble, seed=6)
-    assert drive.ending is Ending.STOPPED
+    assert drive.ending is DriveEnd.STOPPED
     assert all(note.startswith(LOST) and len(note) > len(LOST) for note in drive.notes)
     assert any(words.startswith(f"the controller reports: {LOST}") for words in drive.told), drive.told
 
@@ -30,7 +30,7 @@ def test_a_lost_car_stops_in_its_lane_and_says_why(mission: Ami, track: str, tro
 @pytest.mark.parametrize("mission", [Ami.AUTOCROSS, Ami.SKIDPAD, Ami.ACCELERATION], ids=lambda ami: ami.name.lower())
 def test_with_any_sensor_the_car_drives_or_stops_in_its_lane(mission: Ami, seed: int) -> None:
     track = generated_circuit(seed) if mission is Ami.AUTOCROSS else load_track(mission.name.lower())
-    assert HardDrive(mission, track, drawn(seed), seed).ending is not Ending.LEFT
+    assert HardDrive(mission, track, drawn(seed), seed).ending is not DriveEnd.LEFT
 
 
 @pytest.mark.long
@@ -38,4 +38,4 @@ def test_with_any_sensor_the_car_drives_or_stops_in_its_lane(mission: Ami, seed:
 @pytest.mark.parametrize("colours", [True, False])
 def test_an_ordinary_sensor_is_never_lost(seed: int, colours: bool) -> None:
     drive = HardDrive(Ami.AUTOCROSS, generated_circuit(seed), Trouble(colours=colours), seed)
-    assert drive.ending is Ending.DRIVEN and not drive.notes
+    assert drive.ending is DriveEnd.DRIVEN and not drive.notes

@@ -471,7 +471,8 @@ class Controller:
     def _for_sight(self, sight_m: float, speed: float) -> float:
         """Return the acceleration that brings the car within sight to a speed at which it feels its way, or inf.
 
-        It is inf as long as less is needed than half-way from the braking planned with to the most that is used.
+        It is inf as long as less is needed than half-way from the braking planned with to the most that is used; in a
+        bend, which leaves the brakes little to make up with, sooner.
         """
         planned_mps2, most_mps2 = self._settings.sight_braking_mps2, self._settings.sight_braking_max_mps2
         spare = braking_share(speed * speed * self._bend_1pm / planned_mps2)

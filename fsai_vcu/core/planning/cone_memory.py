@@ -247,8 +247,8 @@ def in_view(reach: Floats, angle: Floats, settings: PlannerSettings) -> Bools:
     return (reach > BESIDE_M) & (reach < settings.view_range_m) & (angle < settings.view_half_angle_rad)
 
 
-class Rows(Value, frozen=True):
-    """Neighbours among N cones: near enough to each other to be one border's, and in a row. The last is no cone.
+class ConeRows(Value, frozen=True):
+    """Rows among N cones: neighbours near enough to each other to be one border's, in line. The last is no cone.
 
     whom: (N + 1, K) each cone's neighbours, N where there is none; beyond: (N + 1, K, K) whether a neighbour's own
     neighbour stands in line behind it; between: (N + 1, K, K) whether the cone itself stands in line between two.
@@ -259,7 +259,7 @@ class Rows(Value, frozen=True):
     between: Bools
 
 
-def rows_of(xy_m: Floats) -> Rows:
+def rows_of(xy_m: Floats) -> ConeRows:
     """The rows in cones (N, 2)."""
     count = len(xy_m)
     dx, dy = xy_m[:, 0] - xy_m[:, :1], xy_m[:, 1] - xy_m[:, 1:]
@@ -278,14 +278,14 @@ def rows_of(xy_m: Floats) -> Rows:
     x.put(slot, dx.take(pair) / size)
     y.put(slot, dy.take(pair) / size)
     ahead, across = x[:, :, None], y[:, :, None]
-    return Rows(
+    return ConeRows(
         whom,
         ahead * x.take(whom, axis=0) + across * y.take(whom, axis=0) > CHAIN_COS,
         ahead * x[:, None] + across * y[:, None] < -CHAIN_COS,
     )
 
 
-def by_chain(side: Floats, rows: Rows) -> Floats:
+def by_chain(side: Floats, rows: ConeRows) -> Floats:
     """Return the sides (+1, -1, 0 unknown) of cones by their colours, but 0 for those in a border of the other colour.
 
     A border also counts at its end as far as it is seen: there the lane says it. A cone is in a border of the other
@@ -303,7 +303,7 @@ def by_chain(side: Floats, rows: Rows) -> Floats:
     return np.where(known[:-1] == side, side, 0.0)
 
 
-def _in_other_border(known: Floats, rows: Rows) -> Bools:
+def _in_other_border(known: Floats, rows: ConeRows) -> Bools:
     """Select the cones in a border of the other colour. known: (N + 1,) sides by colour, the last one 0."""
     of_neighbour = known.take(rows.whom)
     own, other = of_neighbour * known[:, None] > 0.0, of_neighbour * known[:, None] < 0.0
@@ -315,18 +315,18 @@ def _in_other_border(known: Floats, rows: Rows) -> Bools:
     return contrary
 
 
-def _between_own(side: Floats, rows: Rows) -> Bools:
+def _between_own(side: Floats, rows: ConeRows) -> Bools:
     """Select the cones (N,) that stand in line between two of their own side."""
     known = np.append(side, 0.0)
     return _between(known.take(rows.whom) * known[:, None] > 0.0, rows)[:-1]
 
 
-def _between(chosen: Bools, rows: Rows) -> Bools:
-    """Select the cones (N + 1,) in line between two chosen neighbours. chosen: (N + 1, K), as in `Rows.whom`."""
+def _between(chosen: Bools, rows: ConeRows) -> Bools:
+    """Select the cones (N + 1,) in line between two chosen neighbours. chosen: (N + 1, K), as in `ConeRows.whom`."""
     return np.asarray((chosen[:, :, None] & chosen[:, None] & rows.between).any(axis=(1, 2)))
 
 
-def carried_on(side: Floats, colourless: Bools, rows: Rows) -> Floats:
+def carried_on(side: Floats, colourless: Bools, rows: ConeRows) -> Floats:
     """Return the sides of cones; those without a colour carry on the border whose last two cones they are in line with.
 
     Those beside the lane already do not. Nor do they where the other border ends nearby as well and nothing is in line

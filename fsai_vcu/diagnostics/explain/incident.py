@@ -154,8 +154,8 @@ class Incident:
         return self.lasted[1] if self.lasted else self.t_ns
 
 
-class Lasting(Protocol):
-    """Thing that lasts some time."""
+class HasSpan(Protocol):
+    """Thing with a begin and an end."""
 
     @property
     def begin_ns(self) -> int: ...
@@ -163,7 +163,7 @@ class Lasting(Protocol):
     def end_ns(self) -> int: ...
 
 
-Some = TypeVar("Some", bound=Lasting)
+Some = TypeVar("Some", bound=HasSpan)
 TimeRange = tuple[float, float]  # from, to, in ns of the log's clock
 ALWAYS: Final[TimeRange] = (-math.inf, math.inf)
 

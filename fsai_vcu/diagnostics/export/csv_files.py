@@ -9,7 +9,7 @@ from typing import IO, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.export.tables import SINCE, Column, Rows, Table, Values
+from fsai_vcu.diagnostics.export.tables import SINCE, Column, Table, TablePart, Values
 from fsai_vcu.diagnostics.log.candump import time_text
 from fsai_vcu.diagnostics.log.characters import Part, Texts, lines_of, number_texts, texts_of
 from fsai_vcu.diagnostics.log.frames import Ints
@@ -19,14 +19,14 @@ _QUOTED: Final = ('"', ",", "\n", "\r")
 
 
 @contextmanager
-def csv_files(path_of: Callable[[Table], Path], first_ns: int, *, words: bool) -> Iterator[Callable[[Rows], None]]:
+def csv_files(path_of: Callable[[Table], Path], first_ns: int, *, words: bool) -> Iterator[Callable[[TablePart], None]]:
     """Writes each table to the file that `path_of` names. first_ns: the log's first frame. words: instead of numbers,
     where the database has them.
     """
     files: dict[str, IO[bytes]] = {}
     with ExitStack() as opened:
 
-        def write(rows: Rows) -> None:
+        def write(rows: TablePart) -> None:
             table = rows.table
             if table.name not in files:
                 files[table.name] = opened.enter_context(path_of(table).open("wb"))

@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, Header, Metadata, MetadataIndex, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from fsai_vcu.diagnostics.export.mcap_summary import Summary
-from fsai_vcu.diagnostics.export.tables import Column, Rows, Table
+from fsai_vcu.diagnostics.export.tables import Column, Table, TablePart
 from fsai_vcu.diagnostics.log.characters import window
 from fsai_vcu.diagnostics.log.frames import Ints
 
@@ -66,7 +66,7 @@ class RosMessage:
 
 
 @contextmanager
-def mcap_file(path: Path) -> Iterator[Callable[[Rows], None]]:
+def mcap_file(path: Path) -> Iterator[Callable[[TablePart], None]]:
     """Writes all tables to one file."""
     with path.open("wb") as stream:
         tables = McapTables(stream)
@@ -97,7 +97,7 @@ class McapTables:
             self._summary.metadata.append(MetadataIndex(stream.tell(), out.count, "fsai-vcu"))
             stream.write(out.end())
 
-    def write_together(self, several: Sequence[Rows]) -> None:
+    def write_together(self, several: Sequence[TablePart]) -> None:
         """Rows of several tables, in order of time."""
         tables = [self._packed(rows) for rows in several]
         numbers, times, widths = (
@@ -136,7 +136,7 @@ class McapTables:
         self._end_chunk()
         self._stream.write(self._summary.end(self._stream.tell()))
 
-    def _packed(self, rows: Rows) -> npt.NDArray[Any]:
+    def _packed(self, rows: TablePart) -> npt.NDArray[Any]:
         """Each row as the record of a message, in order of time."""
         if rows.table.name not in self._tables:
             self._tables[rows.table.name] = self._number_of(topic_of(rows.table))

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from fsai_vcu.diagnostics.export.tables import Column, Rows, Values
+from fsai_vcu.diagnostics.export.tables import Column, TablePart, Values
 
 _DIGITS = 200  # more than 512 bits have, times a factor
 
 
 @contextmanager
-def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[Rows], None]]:
+def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[TablePart], None]]:
     """Writes one file. Times are seconds since its start, which is in its header. `begin_ns`: of its first frame."""
     asammdf: Any = import_module("asammdf")
     mdf: Any = asammdf.MDF(version="4.10")
@@ -26,7 +26,7 @@ def mf4_file(path: Path, begin_ns: int) -> Iterator[Callable[[Rows], None]]:
     kept_ns = int(mdf.header.abs_time)  # what the header keeps is what the times are relative to
     groups: dict[str, int] = {}
 
-    def write(rows: Rows) -> None:
+    def write(rows: TablePart) -> None:
         """The rows of a table come together or one part after another."""
         table = rows.table
         order = np.argsort(rows.t_ns, kind="stable")  # the format wants times that grow

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.export.tables import SINCE, Column, Rows, Table, Values
+from fsai_vcu.diagnostics.export.tables import SINCE, Column, Table, TablePart, Values
 
 pa: Any = import_module("pyarrow")  # it ships no types
 pq: Any = import_module("pyarrow.parquet")
@@ -22,7 +22,9 @@ _DICTIONARY_BYTES: Final = 4096  # columns of more different values are smaller,
 
 
 @contextmanager
-def parquet_files(path_of: Callable[[Table], Path], first_ns: int, *, words: bool) -> Iterator[Callable[[Rows], None]]:
+def parquet_files(
+    path_of: Callable[[Table], Path], first_ns: int, *, words: bool
+) -> Iterator[Callable[[TablePart], None]]:
     """Writes each table to the file that `path_of` names. first_ns: the log's first frame. words: instead of numbers,
     where the database has them.
     """
@@ -30,7 +32,7 @@ def parquet_files(path_of: Callable[[Table], Path], first_ns: int, *, words: boo
     pending: deque[Future[None]] = deque()
     with ExitStack() as opened, ThreadPoolExecutor(1) as behind:  # packing needs no Python
 
-        def write(rows: Rows) -> None:
+        def write(rows: TablePart) -> None:
             table = rows.table
             if table.name not in writers:
                 options = {"compression": "zstd", "dictionary_pagesize_limit": _DICTIONARY_BYTES}

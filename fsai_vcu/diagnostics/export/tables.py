@@ -49,7 +49,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class TablePart:
     """Some rows of a table. t_ns: times of the log's clock."""
 
     table: Table
@@ -102,7 +102,7 @@ class Tables:
         self._several = several_buses
         self._tables: dict[tuple[str, int], Table] = {}
 
-    def rows(self, frames: Frames) -> Iterator[Rows]:
+    def rows(self, frames: Frames) -> Iterator[TablePart]:
         """The frames by message, each in the order of the log."""
         for layout, rows in self._decoder.by_message(frames):
             if layout is None:
@@ -113,18 +113,18 @@ class Tables:
                 decoded = self._decoder.table(layout, frames, rows[channels == number])
                 self.left_out[_WRONG_LENGTH] += len(decoded.wrong_length)
                 table = self._table(layout, frames.channels[number])
-                found = Rows(table, decoded.t_ns, [values_in(decoded, column) for column in table.columns])
+                found = TablePart(table, decoded.t_ns, [values_in(decoded, column) for column in table.columns])
                 if not layout.plain and layout.signals:
                     found = self._with_values(found)
                 if len(found):
                     yield found
         self.left_out[_NO_DATA] += int(((frames.flags & (ERROR | REMOTE)) != 0).sum())
 
-    def _with_values(self, rows: Rows) -> Rows:
+    def _with_values(self, rows: TablePart) -> TablePart:
         """Return the rows without the frames of which not one signal could be decoded."""
         known = ~np.logical_and.reduce([np.ma.getmaskarray(values) for values in rows.values])
         self.left_out[_UNDECODABLE] += int((~known).sum())
-        return Rows(rows.table, rows.t_ns[known], [values[known] for values in rows.values])
+        return TablePart(rows.table, rows.t_ns[known], [values[known] for values in rows.values])
 
     def _table(self, layout: MessageLayout, channel: str) -> Table:
         key = (channel if self._several else "", layout.key)

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Tables, Values
+from fsai_vcu.diagnostics.export.tables import Column, Table, TablePart, Tables, Values
 from fsai_vcu.diagnostics.log.frames import Frames, Ints
 
 _AT_ONCE: Final = 50_000  # rows
@@ -67,15 +67,15 @@ class WideTable:
                 yield begin, end
                 before = end
 
-    def __iter__(self) -> Iterator[Rows]:
+    def __iter__(self) -> Iterator[TablePart]:
         for first, last in self._spans:
             for begin in range(first, last + 1, _AT_ONCE):
                 instants = np.arange(begin, min(begin + _AT_ONCE, last + 1), dtype=np.int64) * self._step_ns
                 values = [each for source in self._sources for each in _values(source, instants)]
-                yield Rows(self.table, instants, values)
+                yield TablePart(self.table, instants, values)
 
 
-def _values(source: Rows, instants: Ints) -> Iterator[Values]:
+def _values(source: TablePart, instants: Ints) -> Iterator[Values]:
     """Yield the last value that each signal had, for not every frame need have all; and the age of the last frame."""
     last = np.searchsorted(source.t_ns, instants, side="right") - 1
     rows = np.arange(len(source))

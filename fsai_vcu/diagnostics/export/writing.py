@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.export.tables import Rows, Table, Tables
+from fsai_vcu.diagnostics.export.tables import Table, TablePart, Tables
 from fsai_vcu.diagnostics.export.wide import WideTable
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError
@@ -103,7 +103,7 @@ def export(
 
 def _writer(
     form: str, path_of: Callable[[Table | None], Path], first_ns: int, words: bool
-) -> AbstractContextManager[Callable[[Rows], None]]:
+) -> AbstractContextManager[Callable[[TablePart], None]]:
     """Return the writer that takes the rows; what it wrote is whole when it ends without an error."""
     if form == "csv":
         from fsai_vcu.diagnostics.export.csv_files import csv_files
@@ -122,7 +122,7 @@ def _writer(
     return mf4_file(path_of(None), first_ns)
 
 
-def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None]) -> Iterable[Rows]:
+def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None]) -> Iterable[TablePart]:
     for begin in range(0, len(frames), _AT_ONCE):
         end = min(begin + _AT_ONCE, len(frames))
         yield from tables.rows(frames.only(np.arange(begin, end, dtype=np.int64)))

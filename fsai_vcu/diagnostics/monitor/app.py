@@ -19,7 +19,7 @@ from textual.widgets import Input, OptionList, Static
 
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry
 from fsai_vcu.diagnostics.monitor import drawing
-from fsai_vcu.diagnostics.monitor.sources import Log, Source
+from fsai_vcu.diagnostics.monitor.sources import PlayedLog, Source
 from fsai_vcu.interface.units import S
 
 PAGES: Final = ("overview", "messages", "signals", "events")
@@ -97,7 +97,7 @@ class MonitorApp(App[None]):
         self.moment = source.look()
         self.printed: list[str] = []
         self._source = source
-        self._replayed = source if isinstance(source, Log) else None
+        self._replayed = source if isinstance(source, PlayedLog) else None
         self._every_s = every_s
         self._patterns = tuple(patterns) or ("*",)
         self._page = "signals" if patterns else "overview"

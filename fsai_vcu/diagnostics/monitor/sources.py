@@ -26,7 +26,7 @@ _FAR_OFF_NS: Final = 60 * S  # a stamp so far from now is of a device's own cloc
 _LAG_NS: Final = S // 2
 
 
-class Moment(NamedTuple):
+class TimedPicture(NamedTuple):
     """A picture, and the view that it is of. The time as a number for programs (s), and in words."""
 
     view: View
@@ -62,7 +62,7 @@ class Live:
         self._heard_ns = heard_ns
         self._shown_ns = time.monotonic_ns()
         self._waiting: deque[tuple[Frames, int]] = deque()
-        self._held: Moment | None = None
+        self._held: TimedPicture | None = None
         self._stop = False
         self._receiving = ThreadPoolExecutor(1).submit(self._receive)
 
@@ -86,7 +86,7 @@ class Live:
         self.playing = not self.playing
         self._held = None if self.playing else now._replace(view=now.view.copy(), words=f"paused at {now.words}")
 
-    def look(self) -> Moment:
+    def look(self) -> TimedPicture:
         self.advance()
         if self._held:
             return self._held
@@ -94,7 +94,7 @@ class Live:
         picture = self._view.picture(self._shown_ns)
         notices = filter(None, (lag_words(self._shown_ns, now_ns), self._notice()))
         picture = replace(picture, link=(*picture.link, *notices))
-        return Moment(self._view, picture, time.time(), self.clock(picture.t_ns)[:8])
+        return TimedPicture(self._view, picture, time.time(), self.clock(picture.t_ns)[:8])
 
     def clock(self, t_ns: int) -> str:
         """The time of day."""
@@ -130,7 +130,7 @@ def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int, latest_ns: int) -> 
     return frames.at(np.minimum(frames.t_ns - reference_ns + now_ns, latest_ns))
 
 
-class Log:
+class PlayedLog:
     """A log at `position_ns`, read as far as was looked, and to its end where `findings` judge it.
 
     Before each chunk of it the view is kept: any moment takes one chunk and no more.
@@ -148,7 +148,7 @@ class Log:
         self._view = view
         self._pieces: list[tuple[View, Frames]] = []
         self._rate = rate
-        self._looked: Moment | None = None
+        self._looked: TimedPicture | None = None
         self.findings: Callable[[int], Sequence[str]] | None = None  # up to a time; for what judges logs to be set
         self.playing = rate is not None
         self.empty = not self._read_to(-math.inf)
@@ -195,7 +195,7 @@ class Log:
         if self.playing and self.ended:
             self.seek(self._played_from_ns)
 
-    def look(self) -> Moment:
+    def look(self) -> TimedPicture:
         if self._looked is None or self._looked.picture.t_ns != self.position_ns:
             view, picture = self._at(self.position_ns)
             age_s = picture.as_state_s or 0.0
@@ -205,7 +205,7 @@ class Log:
             if self.findings:
                 picture = replace(picture, findings=tuple(self.findings(self.position_ns)))
             words = f"{(self.position_ns - self.begin_ns) / S:.1f} s into the log"
-            self._looked = Moment(view, picture, self.position_ns / S, words)
+            self._looked = TimedPicture(view, picture, self.position_ns / S, words)
         return self._looked
 
     def clock(self, t_ns: int) -> str:
@@ -242,4 +242,4 @@ class Log:
         return True
 
 
-Source = Live | Log
+Source = Live | PlayedLog

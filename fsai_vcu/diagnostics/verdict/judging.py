@@ -40,7 +40,7 @@ from fsai_vcu.diagnostics.statistics.measure import (
 from fsai_vcu.diagnostics.statistics.senders import SecondSender
 from fsai_vcu.diagnostics.verdict.ai_side import mistakes
 from fsai_vcu.diagnostics.verdict.in_passing import frozen, in_passing, perhaps_frozen
-from fsai_vcu.diagnostics.verdict.of_bus import Known, judge
+from fsai_vcu.diagnostics.verdict.of_bus import KnownOfBus, judge
 from fsai_vcu.diagnostics.verdict.own_faults import (
     by_times,
     impossible,
@@ -203,7 +203,7 @@ def _known(
     explanation: Explanation,
     senders: Sequence[SecondSender],
     cars: Sequence[SecondSender],
-) -> Known:
+) -> KnownOfBus:
     """The knowledge of a bus that its explanation brings."""
     own = bus.channel == record.channel
     causes = [incident.candidates[0] for incident in explanation.incidents]
@@ -220,7 +220,7 @@ def _known(
     }
     state = record.series(AS_STATE)
     first_ns = int(record.error_ns[0]) if len(record.error_ns) else None
-    return Known(
+    return KnownOfBus(
         told=frozenset(told),
         lengths=frozenset(lengths),
         echoes_ns=tuple(cause.t_ns for cause in causes if cause.slug in NO_ECHO),

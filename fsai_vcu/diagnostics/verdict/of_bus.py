@@ -1,7 +1,7 @@
 """Findings in the figures of one bus, which are held against the bus table and the databases.
 
-What the explanation has told already (`Known`) is not said a second time: each finding is made once, with all that goes
-with it, and none is taken back.
+What the explanation has told already (`KnownOfBus`) is not said a second time: each finding is made once, with all that
+goes with it, and none is taken back.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched o
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownOfBus:
     """Knowledge of a bus from its explanation, which is not said a second time.
 
     told: (identifier, moment) that a cause names as missing, foreign or an error. lengths: identifiers whose length one
@@ -71,9 +71,9 @@ class Known:
     perhaps_set_ns: tuple[int, ...] = ()
 
 
-def judge(bus: BusStatistics, known: Known | None = None) -> list[Finding]:
+def judge(bus: BusStatistics, known: KnownOfBus | None = None) -> list[Finding]:
     """Everything that is not as it should be, the grave first."""
-    said = known or Known()
+    said = known or KnownOfBus()
     found = list(_Judge(bus, said).findings())
     found.sort(key=lambda finding: finding.severity != "problem")
     return found
@@ -106,7 +106,7 @@ class _Judge:
     """One bus, and what is known of it."""
 
     bus: BusStatistics
-    known: Known
+    known: KnownOfBus
     gone: frozenset[int] = field(default_factory=frozenset)
 
     def findings(self) -> Iterator[Finding]:

@@ -16,7 +16,7 @@ from typing import Any
 from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS, CampaignPlan
 from fsai_hil.evidence.campaign.runner import KIND, batches, drive_batch, header_of, on_cluster
 from fsai_hil.evidence.campaign.table import catalogue_lines, failures, markdown
-from fsai_hil.evidence.work import Record, followed, read, spread
+from fsai_hil.evidence.work import RecordFile, followed, read, spread
 from fsai_hil.simulator.world import mission_named
 from fsai_vcu.cli.main import UserError
 from fsai_vcu.interface.revisions import revision
@@ -80,7 +80,7 @@ def _campaign(args: argparse.Namespace) -> int:
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
         raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
-    with Record(args.out / "record.jsonl", header_of(plan), resume=args.resume) as record:
+    with RecordFile(args.out / "record.jsonl", header_of(plan), resume=args.resume) as record:
         if record.kept_as:
             why = "it is of other sources or options" if args.resume else "without --resume a campaign begins again"
             print(f"{record.path} is now {record.kept_as.name}: {why}", file=sys.stderr)

@@ -1,7 +1,7 @@
 """The abstraction of a bridge's state: what a search tells apart in it, and a state made of that again.
 
-`Clocks` follows the declarations of the fields (`fsai_vcu.core.ages`), down to the last value in a value: it takes the
-times out, as ages, and leaves the rest as it is. Before that `Abstraction.forgotten` makes of a state one that acts
+`TimeFields` follows the declarations of the fields (`fsai_vcu.core.ages`), down to the last value in a value: it takes
+the times out, as ages, and leaves the rest as it is. Before that `Abstraction.forgotten` makes of a state one that acts
 alike from now on and in which nothing is left that nobody looks at any more, because that must not separate states.
 """
 
@@ -37,7 +37,7 @@ _ZERO_NS, _ECHO_NS = 0, 1  # an echo that is newer than the first zero cycle, bo
 # ---------------------------------------------------------------- times and ages, by their declarations
 
 
-class Clocks:
+class TimeFields:
     """The times of a kind of value, and of the values within it: taken out of it as ages, and put back."""
 
     def __init__(self, made: type[Struct], given: Mapping[str, Any] = MappingProxyType({})) -> None:
@@ -48,7 +48,7 @@ class Clocks:
         self._times: list[str] = []
         self._apart: dict[str, Any] = {}  # what stands for a time, and in a field that is not searched
         self.ages: list[Ages] = []  # of all times, in the order in which they are taken out
-        parts: list[tuple[str, Clocks]] = []
+        parts: list[tuple[str, TimeFields]] = []
         notes, hints = declared(made, given), get_type_hints(made)
         for spec in fields(made):
             name, note = spec.name, notes[spec.name]
@@ -59,7 +59,7 @@ class Clocks:
                 self._times.append(name)
                 self.ages.append(note)
             elif kind := _kind_in(hints[name]):
-                parts.append((name, Clocks(kind, note.fields if isinstance(note, Within) else {})))
+                parts.append((name, TimeFields(kind, note.fields if isinstance(note, Within) else {})))
         self._parts = [(name, inner) for name, inner in parts if inner._apart or inner._parts]
         self.ages += (ages for _, inner in self._parts for ages in inner.ages)
         self._never = [NEVER] * len(self.ages)
@@ -111,7 +111,7 @@ def _kind_in(hint: Any) -> type[Struct] | None:
     return found[0] if found else None
 
 
-_BRIDGE: Final = Clocks(BridgeState)
+_BRIDGE: Final = TimeFields(BridgeState)
 FITTING: Final = SteeringCheck(), WheelCheck()
 _AT_REST: Final = standing_start(0)
 
@@ -278,6 +278,6 @@ class Abstraction:
         return VehicleCommand(handed_in_ns, _RUN, steering_rad, estop_request=command.estop_request)
 
 
-def edges_of(clocks: Clocks, config: BridgeConfig) -> tuple[tuple[int, ...], ...]:
+def edges_of(times: TimeFields, config: BridgeConfig) -> tuple[tuple[int, ...], ...]:
     """The ages in ns at which each time matters."""
-    return tuple(edges_ns(ages, config) for ages in clocks.ages)
+    return tuple(edges_ns(ages, config) for ages in times.ages)

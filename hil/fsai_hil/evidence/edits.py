@@ -3,7 +3,7 @@
     log = good_run("acceleration")
     log = edited(log, put(sig.TS_SWITCH, 0, driving(4.0)), gone(0x181))
 
-An act takes a log and returns one. Times are moments: so many seconds after a state of the car began, or before the
+An act takes a log and returns one. Times are instants: so many seconds after a state of the car began, or before the
 log's end; they are those of the log as it came, so that the order of acts does not matter to them.
 """
 
@@ -33,27 +33,27 @@ STOPS_IN_S: Final = 1.5
 AFTER_S: Final = 3.0  # of a log behind what ended its drive
 
 
-class Moment(NamedTuple):
+class Instant(NamedTuple):
     """A time in a log: seconds after the first frame of a state, after the log's begin or (negative) before its end."""
 
     state: AsState | None
     seconds: float
 
 
-def off(seconds: float) -> Moment:
-    return Moment(AsState.AS_OFF, seconds)
+def off(seconds: float) -> Instant:
+    return Instant(AsState.AS_OFF, seconds)
 
 
-def ready(seconds: float) -> Moment:
-    return Moment(AsState.AS_READY, seconds)
+def ready(seconds: float) -> Instant:
+    return Instant(AsState.AS_READY, seconds)
 
 
-def driving(seconds: float) -> Moment:
-    return Moment(AsState.AS_DRIVING, seconds)
+def driving(seconds: float) -> Instant:
+    return Instant(AsState.AS_DRIVING, seconds)
 
 
-def whole(seconds: float) -> Moment:
-    return Moment(None, seconds)
+def whole(seconds: float) -> Instant:
+    return Instant(None, seconds)
 
 
 BEGIN: Final = whole(0.0)
@@ -61,26 +61,26 @@ END: Final = whole(-1e-9)
 
 
 @dataclass(frozen=True)
-class Log:
-    """A log under the editor's hands, and the record of the run as it was driven, which its moments are of."""
+class EditedLog:
+    """A log under the editor's hands, and the record of the run as it was driven, which its instants are of."""
 
     frames: Frames
     run: Record
 
-    def at(self, moment: Moment) -> int:
-        """A moment in ns of the log's clock."""
-        seconds_ns = round(moment.seconds * S)
-        if moment.state is None:
-            return (self.run.begin_ns if moment.seconds >= 0 else self.run.end_ns) + seconds_ns
+    def at(self, instant: Instant) -> int:
+        """An instant in ns of the log's clock."""
+        seconds_ns = round(instant.seconds * S)
+        if instant.state is None:
+            return (self.run.begin_ns if instant.seconds >= 0 else self.run.end_ns) + seconds_ns
         states = self.run.series(sig.AS_STATE)
-        return int(states.t_ns[states.values == moment.state][0]) + seconds_ns
+        return int(states.t_ns[states.values == instant.state][0]) + seconds_ns
 
-    def rows(self, can_id: int, since: Moment, until: Moment) -> Mask:
-        """The frames of a message from one moment up to another."""
+    def rows(self, can_id: int, since: Instant, until: Instant) -> Mask:
+        """The frames of a message from one instant up to another."""
         inside: Mask = self.between(since, until) & (self.frames.can_id == can_id)
         return inside
 
-    def between(self, since: Moment, until: Moment) -> Mask:
+    def between(self, since: Instant, until: Instant) -> Mask:
         begin_ns, end_ns = self.at(since), self.at(until) + (until == END)
         inside: Mask = (self.frames.t_ns >= begin_ns) & (self.frames.t_ns <= end_ns)
         return inside
@@ -90,18 +90,18 @@ class Log:
         """The frames as they are now."""
         return Record(self.frames, self.run.revision.name)
 
-    def said(self, frames: Frames) -> Log:
+    def said(self, frames: Frames) -> EditedLog:
         """The same log with other frames, sorted by time."""
         if (frames.t_ns[1:] < frames.t_ns[:-1]).any():
             frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
-        return Log(frames, self.run)
+        return EditedLog(frames, self.run)
 
 
-Act = Callable[[Log], Log]
+Act = Callable[[EditedLog], EditedLog]
 Changed = Callable[[Values, Values], Values]  # values, seconds since the first of them -> values
 
 
-def edited(log: Log, *acts: Act) -> Log:
+def edited(log: EditedLog, *acts: Act) -> EditedLog:
     for act in acts:
         log = act(log)
     return log
@@ -111,7 +111,7 @@ def edited(log: Log, *acts: Act) -> Log:
 
 
 @cache
-def good_run(name: str) -> Log:
+def good_run(name: str) -> EditedLog:
     """A run of the simulated car and this software's AI side in which nothing went wrong."""
     mission, track, revision = RUNS[name]
     setup = WorldSetup(missions=[mission], track=load_track(track) if track else None, gps=False, revision=revision)
@@ -121,7 +121,7 @@ def good_run(name: str) -> Log:
     while not lockstep.world.done:
         lockstep.step()
     frames = frames_of(LogFrame(f.t_ns, CHANNEL, f.can_id, f.data, extended=f.extended) for f in sent)
-    return Log(frames, Record(frames, revision))
+    return EditedLog(frames, Record(frames, revision))
 
 
 RUNS: Final = {
@@ -134,10 +134,10 @@ RUNS: Final = {
 # ---------------------------------------------------------------- values
 
 
-def put(signal: Signal, value: float | Changed, since: Moment = BEGIN, until: Moment = END) -> Act:
+def put(signal: Signal, value: float | Changed, since: Instant = BEGIN, until: Instant = END) -> Act:
     """A signal has that value from then to then, or what a function makes of the values that it had."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         """Write the value into the signal's frames, where this car sends it."""
         layout = log.run.decoder.databases.by_name(signal.message)
         if layout is None:
@@ -163,7 +163,7 @@ def put(signal: Signal, value: float | Changed, since: Moment = BEGIN, until: Mo
     return act
 
 
-def puts(values: dict[Signal, float | Changed], since: Moment = BEGIN, until: Moment = END) -> Act:
+def puts(values: dict[Signal, float | Changed], since: Instant = BEGIN, until: Instant = END) -> Act:
     """Several signals at once."""
     return together(*(put(signal, value, since, until) for signal, value in values.items()))
 
@@ -172,23 +172,23 @@ def together(*acts: Act) -> Act:
     return lambda log: edited(log, *acts)
 
 
-def scaled(signal: Signal, factor: float, since: Moment = BEGIN, until: Moment = END) -> Act:
+def scaled(signal: Signal, factor: float, since: Instant = BEGIN, until: Instant = END) -> Act:
     return put(signal, lambda values, seconds: values * factor, since, until)
 
 
-def added(signal: Signal, what: float, since: Moment = BEGIN, until: Moment = END) -> Act:
+def added(signal: Signal, what: float, since: Instant = BEGIN, until: Instant = END) -> Act:
     return put(signal, lambda values, seconds: values + what, since, until)
 
 
-def held(signal: Signal, since: Moment, until: Moment = END) -> Act:
-    """The signal stays as it was at the first moment."""
+def held(signal: Signal, since: Instant, until: Instant = END) -> Act:
+    """The signal stays as it was at the first instant."""
     return put(signal, lambda values, seconds: np.full_like(values, values[0]), since, until)
 
 
-def swapped(one: Signal, other: Signal, since: Moment = BEGIN, until: Moment = END) -> Act:
+def swapped(one: Signal, other: Signal, since: Instant = BEGIN, until: Instant = END) -> Act:
     """Two signals of a message change places."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         return edited(
             log,
             put(one, lambda values, seconds: _at(log, other, since, until), since, until),
@@ -198,14 +198,14 @@ def swapped(one: Signal, other: Signal, since: Moment = BEGIN, until: Moment = E
     return act
 
 
-def _at(log: Log, signal: Signal, since: Moment, until: Moment) -> Values:
+def _at(log: EditedLog, signal: Signal, since: Instant, until: Instant) -> Values:
     return log.record.series(signal).sampled(log.frames.t_ns[log.rows(signal.can_id, since, until)])
 
 
-def echo(kind: str, since: Moment = BEGIN, until: Moment = END) -> Act:
+def echo(kind: str, since: Instant = BEGIN, until: Instant = END) -> Act:
     """The AI computer's HANDSHAKE: 'inverted', 'late' (of the 0x520 before), 'constant'."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         asked = log.record.series(sig.HANDSHAKE)
 
         def bits(values: Values, seconds: Values) -> Values:
@@ -224,21 +224,21 @@ def echo(kind: str, since: Moment = BEGIN, until: Moment = END) -> Act:
 # ---------------------------------------------------------------- frames
 
 
-def gone(ids: int | Iterable[int], since: Moment = BEGIN, until: Moment = END) -> Act:
+def gone(ids: int | Iterable[int], since: Instant = BEGIN, until: Instant = END) -> Act:
     """These messages are missing from then to then."""
     chosen = [ids] if isinstance(ids, int) else [*ids]
     return lambda log: log.said(log.frames.only(~(np.isin(log.frames.can_id, chosen) & log.between(since, until))))
 
 
-def only(since: Moment, until: Moment) -> Act:
+def only(since: Instant, until: Instant) -> Act:
     """The log begins and ends then."""
     return lambda log: log.said(log.frames.only(log.between(since, until)))
 
 
-def short(can_id: int, length: int, since: Moment = BEGIN, until: Moment = END) -> Act:
+def short(can_id: int, length: int, since: Instant = BEGIN, until: Instant = END) -> Act:
     """Frames of another length."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         rows = log.rows(can_id, since, until)
         mask = np.uint64((1 << 8 * length) - 1)
         return log.said(
@@ -255,7 +255,7 @@ def short(can_id: int, length: int, since: Moment = BEGIN, until: Moment = END) 
 def ordered(ids: Sequence[int], apart_us: int = 250, late_us: int = 0) -> Act:
     """The AI computer sends its five messages in this order, so far apart, and so much later."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         t_ns = log.frames.t_ns.copy()
         first = log.frames.t_ns[log.frames.can_id == AI_IDS[0]]
         for place, can_id in enumerate(ids):
@@ -266,10 +266,10 @@ def ordered(ids: Sequence[int], apart_us: int = 250, late_us: int = 0) -> Act:
     return act
 
 
-def sent(can_id: int, period_ms: int, payload: Callable[[float], bytes], since: Moment, until: Moment = END) -> Act:
-    """Another message, which the simulated car does not send; payload: by the seconds since the first moment."""
+def sent(can_id: int, period_ms: int, payload: Callable[[float], bytes], since: Instant, until: Instant = END) -> Act:
+    """Another message, which the simulated car does not send; payload: by the seconds since the first instant."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         begin_ns, end_ns = log.at(since), log.at(until)
         times = range(begin_ns, end_ns, period_ms * MS)
         new = frames_of(LogFrame(t_ns, CHANNEL, can_id, payload((t_ns - begin_ns) / S)) for t_ns in times)
@@ -278,10 +278,10 @@ def sent(can_id: int, period_ms: int, payload: Callable[[float], bytes], since: 
     return act
 
 
-def error(can_id: int, data: str, at: Moment) -> Act:
+def error(can_id: int, data: str, at: Instant) -> Act:
     """An error frame of SocketCAN."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         new = frames_of([LogFrame(log.at(at), CHANNEL, can_id, bytes.fromhex(data), error=True)])
         return log.said(joined([log.frames, new]))
 
@@ -291,7 +291,7 @@ def error(can_id: int, data: str, at: Moment) -> Act:
 def paced(period_ms: float, jitter_ms: float = 0.0) -> Act:
     """The AI computer sends every so often, early or late by up to the jitter, what it had to say by then."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         frames, rng = log.frames, np.random.default_rng(0)
         of_ai = np.isin(frames.can_id, AI_IDS)
         begin_ns, end_ns = (int(frames.t_ns[of_ai][place]) for place in (0, -1))
@@ -317,7 +317,7 @@ def batched(every_ms: int) -> Act:
 def before_a_good_one(dark_s: float) -> Act:
     """After this run the car is switched off for so long, and a good one follows."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         good = log.run.frames
         behind_ns = int(log.frames.t_ns[-1]) + round(dark_s * S) - int(good.t_ns[0])
         return log.said(joined([log.frames, good.at(good.t_ns + behind_ns)]))
@@ -328,7 +328,7 @@ def before_a_good_one(dark_s: float) -> Act:
 def again(dark_s: float, *, ai_goes_on: bool = False) -> Act:
     """A second run like this one, after the car was switched off for so long."""
 
-    def act(log: Log) -> Log:
+    def act(log: EditedLog) -> EditedLog:
         frames = log.frames
         length_ns = int(frames.t_ns[-1] - frames.t_ns[0]) + round(dark_s * S)
         first = frames.t_ns[frames.can_id == 0x520][0]
@@ -351,13 +351,13 @@ BARE: Final = puts(FAULTS)
 """A car without fault bits, as with some databases and other VCUs."""
 
 
-def stops(at: Moment, **bits: float) -> Act:
+def stops(at: Instant, **bits: float) -> Act:
     """EMERGENCY_BRAKE from then on; bits: further signals of 0x520 by name. The log ends soon after."""
 
     def slower(values: Values, seconds: Values) -> Values:
         return values[0] * np.clip(1.0 - seconds / STOPS_IN_S, 0.0, 1.0)
 
-    end = Moment(at.state, at.seconds + AFTER_S)
+    end = Instant(at.state, at.seconds + AFTER_S)
     car: dict[Signal, float | Changed] = {
         sig.AS_STATE: float(AsState.EMERGENCY_BRAKE),
         sig.EBS_STATE: float(EbsState.EBS_TRIGGERED),
@@ -371,18 +371,18 @@ def stops(at: Moment, **bits: float) -> Act:
         **dict.fromkeys((sig.TORQUE_F, sig.TORQUE_R, sig.BRAKE_REQ_F, sig.BRAKE_REQ_R, sig.DIRECTION), 0.0),
         sig.MISSION_STATUS: float(MissionStatus.RUNNING),
     }
-    soon, stands = (Moment(at.state, at.seconds + later_s) for later_s in (0.02, STOPS_IN_S))
+    soon, stands = (Instant(at.state, at.seconds + later_s) for later_s in (0.02, STOPS_IN_S))
     return together(puts(car, at), *(held(count, stands) for count in sig.PULSES), puts(asked, soon), only(BEGIN, end))
 
 
-def turned_away(at: Moment) -> Act:
+def turned_away(at: Instant) -> Act:
     """AS_READY is left for AS_OFF until the end; nothing is asked, and the log ends some seconds later."""
-    end = Moment(at.state, at.seconds + 7.0)
+    end = Instant(at.state, at.seconds + 7.0)
     car: dict[Signal, float | Changed] = {sig.AS_STATE: float(AsState.AS_OFF), sig.GO: 0.0, sig.REMOTE_GO: 0.0}
     return together(puts(car, at), waits(at), only(BEGIN, end))
 
 
-def waits(since: Moment) -> Act:
+def waits(since: Instant) -> Act:
     """The car rests and the AI computer asks for nothing, as before a start."""
     rests: dict[Signal, float | Changed] = {
         **dict.fromkeys((*sig.WHEELS, *sig.CAR_TORQUE, sig.ANGLE), 0.0),
@@ -395,7 +395,7 @@ def waits(since: Moment) -> Act:
 
 def stays(state: AsState, seconds: float) -> Act:
     """The car never leaves a state; the log ends so many seconds after that began."""
-    since, end = Moment(state, 0.0), Moment(state, seconds)
+    since, end = Instant(state, 0.0), Instant(state, seconds)
     go: dict[Signal, float | Changed] = {sig.AS_STATE: float(state), sig.GO: 0.0, sig.REMOTE_GO: 0.0}
     return together(puts(go, since), waits(since), only(BEGIN, end))
 
@@ -415,13 +415,13 @@ def never_moves(seconds: float = 10.0) -> Act:
     )
 
 
-def asks(torque_nm: float, *, since: Moment | None = None) -> Act:
+def asks(torque_nm: float, *, since: Instant | None = None) -> Act:
     """The AI computer asks for that torque of the rear axle, once the start is over."""
     return put(sig.TORQUE_R, torque_nm, since or driving(3.2))
 
 
-def parks(since: Moment, seconds: float) -> Act:
-    """The car drove, and stands from that moment on in AS_DRIVING, without a request; the log ends so much later."""
+def parks(since: Instant, seconds: float) -> Act:
+    """The car drove, and stands from that instant on in AS_DRIVING, without a request; the log ends so much later."""
     rests: dict[Signal, float | Changed] = dict.fromkeys(
         (*sig.WHEELS, *sig.CAR_TORQUE, *(sig.TORQUE_F, sig.TORQUE_R, sig.SPEED_MAX_R)), 0.0
     )
@@ -431,5 +431,5 @@ def parks(since: Moment, seconds: float) -> Act:
         sig.DIRECTION: float(Direction.FORWARD),
         sig.GO: 1.0,
     }
-    until = Moment(since.state, since.seconds + seconds)
+    until = Instant(since.state, since.seconds + seconds)
     return together(puts({**rests, **car}, since), *(held(count, since) for count in sig.PULSES), only(BEGIN, until))

@@ -27,10 +27,10 @@ from fsai_hil.evidence.work import followed, spread
 from fsai_hil.rules.numbers import MS
 from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
-from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.bus_table import BUS_TABLE
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import VcuBrake, VcuDriveFront, VcuDriveRear, VcuStatus, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 
 BATCH: Final = 10  # scripts of one seed
@@ -92,17 +92,17 @@ _NARROW = ("as_switch", "ts_switch", "go_signal", "fault", "shutdown_request", "
 _WIDE = ("as_state", "as_state", "as_state", "ami", "shutdown_cause", "ebs_state", "ts_state", "op_state")
 _SPEEDS = ("fl_rpm", "fr_rpm", "rl_rpm", "rr_rpm")
 _BITS = (
-    *[([m.VcuStatus], [(name,) for name in _WIDE], (*range(16),))] * 2,
-    *[([m.VcuStatus], [(name,) for name in _NARROW], (0, 1))] * 2,
-    ([m.VcuDriveFront, m.VcuDriveRear], [("torque_max_nm",)], (0, 1, 400, 500, 1950, 0xFFFF)),
-    ([m.VcuSteer], [("angle_max_deg",), ("angle_deg",)], (0, 1, 30, 50, 210, 300, 0x8000, 0xFFFF)),
-    ([m.VcuBrake], [("front_request_pct",), ("rear_request_pct",)], (0, 1, 200, 255)),
-    *[([m.WheelSpeeds], [_SPEEDS, _SPEEDS[:1], _SPEEDS[:3]], (0xFFFF, 1250, 1251, 700, 10, 9, 0))] * 2,
+    *[([VcuStatus], [(name,) for name in _WIDE], (*range(16),))] * 2,
+    *[([VcuStatus], [(name,) for name in _NARROW], (0, 1))] * 2,
+    ([VcuDriveFront, VcuDriveRear], [("torque_max_nm",)], (0, 1, 400, 500, 1950, 0xFFFF)),
+    ([VcuSteer], [("angle_max_deg",), ("angle_deg",)], (0, 1, 30, 50, 210, 300, 0x8000, 0xFFFF)),
+    ([VcuBrake], [("front_request_pct",), ("rear_request_pct",)], (0, 1, 200, 255)),
+    *[([WheelSpeeds], [_SPEEDS, _SPEEDS[:1], _SPEEDS[:3]], (0xFFFF, 1250, 1251, 700, 10, 9, 0))] * 2,
 )
 _SPOILT = st.one_of(
     *(_step("spoil", kinds=kinds, names=(*names,), bits=bits, cycles=_FOR) for kinds, names, bits in _BITS)
 )
-_SPEAKS = (m.VcuStatus, m.VcuDriveFront, m.VcuDriveRear, m.VcuSteer, m.VcuBrake, m.WheelSpeeds)
+_SPEAKS = (VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds)
 _MISSING = _step("spoil", kinds=(*([kind] for kind in _SPEAKS), [*_SPEAKS]), names=[], bits=None, cycles=_FOR)
 _OFF = AsState.AS_OFF
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.searched import SearchSetting
 from fsai_hil.evidence.small_car import SmallCar
 from fsai_hil.rules.numbers import CYCLE_NS, MS
 from fsai_hil.simulator.watched_bridge import WatchedBridge
@@ -21,19 +21,19 @@ from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiSteer, Image, WheelCounts, command_of
 from fsai_vcu.runtime.link import Ask, Message, ResetConfirmed
 from fsai_vcu.runtime.turns import Action, Do, Send, Turns
 
 MAX_CYCLES: Final = 1_500  # of the car, after a station: longer runs show nothing more
 SETUPS: Final = {
-    "2026": Setting(config=BridgeConfig(), limits=UNLIMITED),
-    "2021": Setting(config=BridgeConfig(), limits=UNLIMITED, revision="2021", car=CARS["2021"]),
-    "venue": Setting(config=BridgeConfig(), limits=OperationalLimits(5.0, 60.0, 15.0)),
-    "staging": Setting(config=BridgeConfig(autonomous_at_power_up=True), limits=UNLIMITED),
-    "listening": Setting(config=BridgeConfig(listen_only=True), limits=UNLIMITED),
+    "2026": SearchSetting(config=BridgeConfig(), limits=UNLIMITED),
+    "2021": SearchSetting(config=BridgeConfig(), limits=UNLIMITED, revision="2021", car=CARS["2021"]),
+    "venue": SearchSetting(config=BridgeConfig(), limits=OperationalLimits(5.0, 60.0, 15.0)),
+    "staging": SearchSetting(config=BridgeConfig(autonomous_at_power_up=True), limits=UNLIMITED),
+    "listening": SearchSetting(config=BridgeConfig(listen_only=True), limits=UNLIMITED),
 }
 WELL: Final = {"throttle": 0.4, "brake": 0.0, "speed_limit_mps": 8.0, "age_ms": 0.0, "run_offset": 0}
 
@@ -59,7 +59,7 @@ class RuleBroken(Exception):
 class Drive(SmallCar):
     """One process under test, a car of a few lines and the checker between them, at one instant of virtual time."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: SearchSetting) -> None:
         self.setting, self.codec, self.checker = setting, setting.codec, setting.checker()
         self.now_ns, self.cycles, self.reached = 1_000 * MS, 0, set[str]()
         self.angle_max_deg = self.codec.revision.steer_limit_deg
@@ -68,7 +68,7 @@ class Drive(SmallCar):
         self.period_ns, self.late_ns = CYCLE_NS, 0  # of the car; of the loop
         self.fields: dict[str, Any] = {}  # of the controller's command
         self.spoilt: dict[type, tuple[tuple[str, ...], int | None, int]] = {}  # fields, their bits, until which cycle
-        self.asked = {kind: kind() for kind in (m.AiDriveFront, m.AiDriveRear, m.AiSteer, m.AiBrake)}
+        self.asked = {kind: kind() for kind in (AiDriveFront, AiDriveRear, AiSteer, AiBrake)}
         self.speed_rpm, self.turned, self.dropping = 0.0, 0.0, (0, 0)
         self.begin(1)
 
@@ -170,11 +170,11 @@ class Drive(SmallCar):
 
     # ------------------------------------------------------------ car and loop
 
-    def images(self) -> tuple[m.Image, ...]:
+    def images(self) -> tuple[Image, ...]:
         """Return what the car reports in one of its cycles."""
-        self.rpm, self.heard = round(self.speed_rpm), m.command_of(self.asked)
+        self.rpm, self.heard = round(self.speed_rpm), command_of(self.asked)
         count = int(self.turned * self.setting.car.wheel_pulses_per_rev) % 0x10000
-        return (*super().images(), m.WheelCounts(*[count] * 4))
+        return (*super().images(), WheelCounts(*[count] * 4))
 
     def car_sends(self) -> None:
         """Move the car by one of its cycles, and send the messages that it has not lost."""

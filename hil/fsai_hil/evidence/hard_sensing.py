@@ -31,7 +31,7 @@ JUMP_M: Final = 0.5
 CERTAIN: Final = 0.9  # confidence of a false cone
 
 
-class Ending(Enum):
+class DriveEnd(Enum):
     """The ways in which a drive ends."""
 
     DRIVEN = "driven"
@@ -97,12 +97,12 @@ class HardDrive:
                 if lockstep.now_ns > self._driving_ns + latest_s * S:
                     break
         if wheels_off >= 2:
-            self.ending = Ending.LEFT
+            self.ending = DriveEnd.LEFT
         elif stood_ns >= STANDS_S * S:
-            self.ending = Ending.STOPPED
+            self.ending = DriveEnd.STOPPED
         else:
             driven = world.done and world.verdict().passed
-            self.ending = Ending.DRIVEN if driven else Ending.NEITHER
+            self.ending = DriveEnd.DRIVEN if driven else DriveEnd.NEITHER
 
     def result(self) -> LockstepResult:
         """Return what the judge, the wire and the bridge have to say of the drive so far."""

@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from msgspec.structs import asdict
 
-from fsai_hil.evidence.hard_sensing import Ending, HardDrive, Trouble, drawn
-from fsai_hil.evidence.work import Record, digest, followed, spread
+from fsai_hil.evidence.hard_sensing import DriveEnd, HardDrive, Trouble, drawn
+from fsai_hil.evidence.work import RecordFile, digest, followed, spread
 from fsai_hil.simulator.judge import check_track
 from fsai_hil.simulator.lockstep import CONFIDENCE_THRESHOLD, Lockstep, LockstepResult, confident
 from fsai_hil.simulator.sensing import SensorSettings
@@ -124,20 +124,20 @@ def driven(case: MissionCase) -> dict[str, Any]:
     lockstep = Lockstep(setup)
     lockstep.detector = partial(confident, threshold=condition.threshold)
     result = lockstep.run()
-    return _line(case, result, Ending.DRIVEN if result.passed else Ending.NEITHER)
+    return _line(case, result, DriveEnd.DRIVEN if result.passed else DriveEnd.NEITHER)
 
 
-def _line(case: MissionCase, result: LockstepResult, ending: Ending) -> dict[str, Any]:
+def _line(case: MissionCase, result: LockstepResult, ending: DriveEnd) -> dict[str, Any]:
     """Return the line of the record of a run that ended so."""
     found, verdict = result.as_dict(), result.verdict
     kept = ("result", "reasons", "cones_hit", "off_course", "faults", "gate_reasons", "emergency", "sim_time_s")
     times = verdict.lap_times_s or (verdict.driving_time_s,)
     case = MissionCase(*case.row, case.seed)  # where a track's file lies is of no interest
     line = {**asdict(case), **{key: found[key] for key in kept}, "times_s": [round(time, 3) for time in times]}
-    if ending is Ending.STOPPED and result.wire.ok:
+    if ending is DriveEnd.STOPPED and result.wire.ok:
         line |= {"result": STOPPED, "reasons": []}
-    elif ending is Ending.LEFT:
-        line |= {"result": "fail", "reasons": [Ending.LEFT.value], "off_course": 1}
+    elif ending is DriveEnd.LEFT:
+        line |= {"result": "fail", "reasons": [DriveEnd.LEFT.value], "off_course": 1}
     return line
 
 
@@ -267,7 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _drive(asked: Sequence[MissionCase], args: argparse.Namespace) -> int:
     """Do the runs that the record lacks, and print or write the table of all; return the exit status."""
-    with Record(args.record, {"missions": digest()}) as record:
+    with RecordFile(args.record, {"missions": digest()}) as record:
         if record.kept_as:
             print(f"{record.path} was of other sources, and is now {record.kept_as}", file=sys.stderr)
         runs = {_case(run): run for run in record.results}

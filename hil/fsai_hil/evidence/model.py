@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from msgspec.structs import replace
 
-from fsai_hil.evidence.abstraction import NOW, Abstraction, Clocks, edges_of
+from fsai_hil.evidence.abstraction import NOW, Abstraction, TimeFields, edges_of
 from fsai_hil.evidence.scopes import (
     COMMANDS,
     EVENTS,
@@ -63,7 +63,7 @@ LEFT_OUT: Final = (
 
 # ---------------------------------------------------------------- the composition
 
-_VCU: Final = Clocks(Vcu)
+_VCU: Final = TimeFields(Vcu)
 
 
 class State(NamedTuple):

@@ -21,7 +21,7 @@ from msgspec import field
 from msgspec.structs import replace
 
 from fsai_hil.evidence.abstraction import NOW
-from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.searched import SearchSetting
 from fsai_hil.evidence.small_car import WELL
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, MS, S
 from fsai_hil.rules.seen import NOBODY
@@ -34,10 +34,10 @@ from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.config import Reason
 from fsai_vcu.core.supervision.supervisor import CHANGES
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface import messages as m
 from fsai_vcu.interface.codec import Decoded
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.messages import Faults, Image, VcuBrake, VcuDriveFront, VcuDriveRear, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.specification import EMERGENCY_TIMER_NS, READY_WAIT_NS
 from fsai_vcu.interface.values import Value
 
@@ -174,7 +174,7 @@ MARKS: Final[Mapping[str, Mapping[str, Any]]] = {
     "OP_STATE becomes FAULT": {"op_state": OpState.OP_FAULT},
 }
 """Marks that 0x520 may show besides, FAULT_STATUS being 0: fields of it and of its fault bits."""
-_BITS: Final = m.Faults.__struct_fields__
+_BITS: Final = Faults.__struct_fields__
 
 
 class CarFrame(Frame, frozen=True):
@@ -199,19 +199,19 @@ def frames_of(choice: Choice, vcu: Vcu, now: int) -> Iterator[CarFrame]:
     elif STATUS not in choice.lost:
         yield _status_frame(vcu.bit, choice.go, vcu.state, choice.ami, choice.fault, choice.marks, now)
     if AXLES not in choice.lost:
-        yield _frame(0x521, m.VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
-        yield _frame(0x522, m.VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(0x521, VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm)
+        yield _frame(0x522, VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm)
     if STEER not in choice.lost:
-        yield _frame(0x523, m.VcuSteer, now, 0.0, choice.angle_max_deg)
+        yield _frame(0x523, VcuSteer, now, 0.0, choice.angle_max_deg)
     if BRAKE not in choice.lost:
-        yield _frame(0x524, m.VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
+        yield _frame(0x524, VcuBrake, now, *[30.0 if vcu.brake else 0.0] * 4)
     if SPEEDS not in choice.lost:
-        yield _frame(0x525, m.WheelSpeeds, now, *choice.rpm)
+        yield _frame(0x525, WheelSpeeds, now, *choice.rpm)
 
 
 @cache  # the same few come again and again
 def _frame(can_id: int, kind: type[Any], now: int, *values: float) -> CarFrame:
-    image: m.Image = kind(*values, t_rx_ns=now)
+    image: Image = kind(*values, t_rx_ns=now)
     return CarFrame(can_id, b"", now, decoded=Decoded(image, (), None))
 
 
@@ -221,7 +221,7 @@ def _status_frame(
 ) -> CarFrame:
     """Return 0x520 as the VCU sends it now; `marks` name the fault bits and values that differ from a sound car's."""
     shown = {name: value for mark in marks for name, value in MARKS[mark].items()}
-    faults = m.Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
+    faults = Faults(**{name: shown.pop(name) for name in _BITS if name in shown})
     image = replace(
         _WELL_STATUS,
         handshake=bit,
@@ -333,12 +333,12 @@ class Scope(Value, frozen=True):
     driving: tuple[Choice, ...] = ()
     path: tuple[Choice, ...] = PATH
     endings: tuple[Ending, ...] = (STANDS, MOVES)
-    setting: Setting = field(default_factory=Setting)
+    setting: SearchSetting = field(default_factory=SearchSetting)
     reactions: tuple[Reason, ...] = ()
 
 
-_CONFIG: Final = Setting().config
-_AT_POWER_UP: Final = Setting(config=replace(_CONFIG, autonomous_at_power_up=True))
+_CONFIG: Final = SearchSetting().config
+_AT_POWER_UP: Final = SearchSetting(config=replace(_CONFIG, autonomous_at_power_up=True))
 _RUN: Final = Scope(
     "run",
     "people: mode requests, emergency brake, reset, Go, ASMS, TSMS, E-stop, faults, AMI, resets not confirmed; wheels "
@@ -397,7 +397,7 @@ SCOPES: Final = (
         "intruder, fault of the loop, bus lost and back, orderly end, frames that waited, in any order and at any time",
         _over(GO, event=HAPPENINGS),
         _over(_DRIVES, event=[None, *HAPPENINGS]),
-        setting=Setting(config=replace(_CONFIG, stop_cycles=2)),
+        setting=SearchSetting(config=replace(_CONFIG, stop_cycles=2)),
         reactions=(Reason.INTRUDER,),
     ),
     Scope(
@@ -489,7 +489,7 @@ SCOPES: Final = (
             *_over(_RIGHT, rpm=[(450,) * 4, (450, 300, 300, 501), (401, 300, 601, 450), (450, 701, 450, 401)]),
             *_over(_RIGHT, rpm=[MOVING], torque_max_nm=[40.0, 0.0]),
         ),
-        setting=Setting(revision="2021", car=CARS["2021"], first_state=_OFF),
+        setting=SearchSetting(revision="2021", car=CARS["2021"], first_state=_OFF),
     ),
     Scope(
         "power-up",
@@ -509,7 +509,7 @@ SCOPES: Final = (
         name="official simulator",
         # Its motors brake more weakly: a deceleration has 2 s to show, not 0.5 s.
         endings=(STANDS, replace(MOVES, within_ns=MOVES.within_ns + 1500 * MS)),
-        setting=Setting(
+        setting=SearchSetting(
             config=replace(official_simulator(), steer_rate_degps=1500.0),
             car=CARS["official-simulator"],
             profile=OFFICIAL_SIMULATOR,
@@ -528,7 +528,7 @@ SCOPES: Final = (
         ),
         path=(),
         endings=(),  # a process that never sends brings no car to any end
-        setting=Setting(config=replace(_CONFIG, listen_only=True)),
+        setting=SearchSetting(config=replace(_CONFIG, listen_only=True)),
     ),
 )
 """Every scope of the full search."""

@@ -23,7 +23,7 @@ from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.values import Value
 
 
-class Setting(Value, frozen=True):
+class SearchSetting(Value, frozen=True):
     """The subject of a search: the configuration of the AI side and the car at the other end."""
 
     config: BridgeConfig = field(default_factory=lambda: BridgeConfig(steer_rate_degps=1500.0))

@@ -20,7 +20,7 @@ from msgspec.structs import astuple, replace
 from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import SCOPES, scope
 from fsai_hil.evidence.search import Search, explore
-from fsai_hil.evidence.searched import Setting
+from fsai_hil.evidence.searched import SearchSetting
 from fsai_hil.rules.numbers import MS
 from fsai_vcu.core import bridge
 from fsai_vcu.core.bridge import BridgeConfig
@@ -59,7 +59,7 @@ class Seed(Value, frozen=True):
     scope: str
     patches: Patches = ()
 
-    def configured(self, setting: Setting) -> Setting:
+    def configured(self, setting: SearchSetting) -> SearchSetting:
         """The setting with what this mistake configures otherwise."""
         changed = {name: value for owner, name, value in self.patches if owner is BridgeConfig}
         return replace(setting, config=replace(setting.config, **changed))

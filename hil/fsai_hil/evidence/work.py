@@ -90,7 +90,7 @@ def read(path: Path, kind: str) -> tuple[Header, list[Any]]:
     return found[0], found[1:]
 
 
-class Record(AbstractContextManager["Record"]):
+class RecordFile(AbstractContextManager["RecordFile"]):
     """A record that is appended to, or begun. `results`: what it holds; `kept_as`: what its place held before."""
 
     def __init__(self, path: Path, header: Header, *, resume: bool = True) -> None:
@@ -196,7 +196,7 @@ def followed(
     wrong: Callable[[R], str],
     counted: str,
     *,
-    record: Record | None = None,
+    record: RecordFile | None = None,
     to: TextIO | None = None,
 ) -> Iterator[R]:
     """The results as they come, kept in the `record`; one line on stderr says how the work goes on.

@@ -11,8 +11,24 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from fsai_hil.rules import numbers as n
-from fsai_hil.rules.numbers import MS
+from fsai_hil.rules.numbers import (
+    AS_STATE_KNOWN_NS,
+    COMMAND_FRESH_NS,
+    CYCLE_NS,
+    DATA_FRESH_NS,
+    FUTURE_NS,
+    LAUNCH_NS,
+    LISTEN_FIRST_NS,
+    MOST_MOTOR_RPM,
+    MOST_TORQUE_NM,
+    MS,
+    POWER_CYCLE_NS,
+    READY_SEEN_NS,
+    SEND_LOST_NS,
+    STATUS_FRESH_NS,
+    STATUS_LOST_NS,
+    STILL_NS,
+)
 from fsai_hil.rules.plausible import Plausibility
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation
@@ -103,13 +119,13 @@ class BusView:
             self.steer_rate_degps = steer_rate_degps
         self.steer_limit_deg = min(codec.revision.steer_limit_deg, limits.max_steer_deg)
         self._command_limit_deg = codec.revision.steer_limit_deg
-        self.torque_limit_nm = min(n.MOST_TORQUE_NM, limits.max_axle_torque_nm)
-        self.motor_limit_rpm = n.MOST_MOTOR_RPM
+        self.torque_limit_nm = min(MOST_TORQUE_NM, limits.max_axle_torque_nm)
+        self.motor_limit_rpm = MOST_MOTOR_RPM
         self.rpm_per_mps = math.inf
         if car is not None:
             self.torque_limit_nm = min(self.torque_limit_nm, car.axle_torque_max_nm)
             self.rpm_per_mps = car.wheel_rpm_of_speed(1.0) * car.gear_ratio
-            self.motor_limit_rpm = min(n.MOST_MOTOR_RPM, min(limits.max_speed_mps, 1000.0) * self.rpm_per_mps)
+            self.motor_limit_rpm = min(MOST_MOTOR_RPM, min(limits.max_speed_mps, 1000.0) * self.rpm_per_mps)
 
         self.start_ns: int | None = None
         self.now_ns = 0
@@ -184,9 +200,9 @@ class BusView:
         s = self.seen
         driving = s.as_state is AsState.AS_DRIVING
         age_ns = -1 if s.command_ns is None else now_ns - s.command_ns
-        if not driving or s.latched or not s.autonomous or (s.stopped and age_ns >= n.COMMAND_FRESH_NS):
+        if not driving or s.latched or not s.autonomous or (s.stopped and age_ns >= COMMAND_FRESH_NS):
             s.order = s.command_ns = None  # no command counts any more
-        elif age_ns >= n.COMMAND_FRESH_NS:
+        elif age_ns >= COMMAND_FRESH_NS:
             s.order = None
         elif s.stopped and s.order is not None:  # only its steering counts
             s.order = s.order._replace(throttle=0.0, brake=0.0, finished=False, estop=False)
@@ -206,8 +222,8 @@ class BusView:
             s.complete_ns = s.complete_ns and now_ns
             s.steer_odd_ns = s.wheel_odd_ns = None
             self.shown_ns = [None] * len(SHOWN)
-        if s.command_ns is not None and s.driving_ns is not None and not data_may_be_lost and age_ns < n.CYCLE_NS:
-            s.driving_ns = max(s.driving_ns, now_ns - n.LAUNCH_NS)  # how long it has waited for commands is no matter
+        if s.command_ns is not None and s.driving_ns is not None and not data_may_be_lost and age_ns < CYCLE_NS:
+            s.driving_ns = max(s.driving_ns, now_ns - LAUNCH_NS)  # how long it has waited for commands is no matter
         if s.back_ns is not None and not s.reopening:
             times = s.status_ns, s.steer_ns, self.wheels.may_count_ns
             if s.latched or all(t_ns is not None and t_ns >= s.back_ns for t_ns in times):
@@ -241,7 +257,7 @@ class BusView:
         elif isinstance(image, WheelSpeeds):
             if self.wheels.on_speeds(image.all_rpm, t_ns) is not Belief.NO:
                 self._note("rpm", t_ns, image.all_rpm)
-                launched = s.driving_ns is not None and t_ns - s.driving_ns >= n.LAUNCH_NS
+                launched = s.driving_ns is not None and t_ns - s.driving_ns >= LAUNCH_NS
                 if self._plausibility is not None and launched and s.mission not in IN_THE_AIR:
                     self._plausibility.on_speeds(image.all_rpm, t_ns)
         elif isinstance(image, WheelCounts):
@@ -275,14 +291,14 @@ class BusView:
     def on_any_status(self, decoded: Decoded, t_ns: int) -> None:
         """Note a 0x520, believed or not: silence before it, and since when its AS state is known."""
         s = self.seen
-        if s.any_status_ns is not None and t_ns - s.any_status_ns >= n.POWER_CYCLE_NS + self.in_flight_ns:
+        if s.any_status_ns is not None and t_ns - s.any_status_ns >= POWER_CYCLE_NS + self.in_flight_ns:
             s.silent = True
         s.any_status_ns = t_ns
         if decoded.image is None:
             s.known_ns = None
         elif s.known_ns is None:
             before_the_log = s.as_state is None and not self.from_start
-            s.known_ns = t_ns - n.AS_STATE_KNOWN_NS if before_the_log else t_ns
+            s.known_ns = t_ns - AS_STATE_KNOWN_NS if before_the_log else t_ns
         self._note("known", t_ns, s.known_ns)
         bit = decoded.handshake
         if bit is None:
@@ -349,7 +365,7 @@ class BusView:
             if anew and not unjudged:
                 s.ready_ns, s.waited = t_ns, False
             if not status.go_signal and s.ready_ns is not None:
-                s.waited = t_ns - s.ready_ns + self.in_flight_ns >= n.READY_SEEN_NS
+                s.waited = t_ns - s.ready_ns + self.in_flight_ns >= READY_SEEN_NS
         else:
             s.ready_ns = None
             s.waited = s.waited and state is AsState.AS_DRIVING
@@ -388,7 +404,7 @@ class BusView:
             s.whole = complete
             if complete or s.complete_ns is None:
                 s.complete_ns = now_ns
-            elif now_ns - s.complete_ns >= n.SEND_LOST_NS and s.as_state is AsState.AS_DRIVING:
+            elif now_ns - s.complete_ns >= SEND_LOST_NS and s.as_state is AsState.AS_DRIVING:
                 self._lose("no cycle went out whole for 50 ms")
                 s.complete_ns = now_ns
         self.cycle = SeenCycle()
@@ -403,7 +419,7 @@ class BusView:
             self.wrong("8", "a process that only listens sends")
         if s.bus_gone:
             self.wrong("8", "frames are sent on a lost bus")
-        if s.began_ns is None or self.now_ns - s.began_ns < n.LISTEN_FIRST_NS:
+        if s.began_ns is None or self.now_ns - s.began_ns < LISTEN_FIRST_NS:
             self.wrong("8", "frames are sent before the process has listened for 200 ms")
 
     def on_command(self, command: VehicleCommand, refused: bool, now_ns: int, *, current: bool) -> None:
@@ -416,7 +432,7 @@ class BusView:
             and 0.0 <= command.throttle <= 1.0
             and 0.0 <= command.brake <= 1.0
             and command.speed_limit_mps >= 0.0
-            and command.t_sensor_ns - now_ns <= n.FUTURE_NS
+            and command.t_sensor_ns - now_ns <= FUTURE_NS
         )
         takes = fit and current and not s.bus_gone
         if not refused and not (fit and current):
@@ -427,7 +443,7 @@ class BusView:
             steer_deg = math.degrees(command.steering_rad)
             wishes = command.mission_finished, command.estop_request
             s.order = Order(steer_deg, command.throttle, command.brake, command.speed_limit_mps, *wishes)
-            s.command_ns = min(now_ns, command.t_sensor_ns + n.DATA_FRESH_NS - n.COMMAND_FRESH_NS)
+            s.command_ns = min(now_ns, command.t_sensor_ns + DATA_FRESH_NS - COMMAND_FRESH_NS)
 
     def on_mode(self, mode: str, answer: tuple[bool, str], now_ns: int) -> None:
         """Somebody asked for a mode."""
@@ -440,7 +456,7 @@ class BusView:
             s.autonomous = s.power_up = False
             self._stop("manual was asked for")
         elif mode == "autonomous":
-            known = s.status_ns is not None and now_ns - s.status_ns < n.STATUS_LOST_NS
+            known = s.status_ns is not None and now_ns - s.status_ns < STATUS_LOST_NS
             if done and not s.autonomous and (not known or s.as_state not in IDLE or process.listen_only):
                 self.wrong("modes", f"autonomous was accepted in {self.where}")
             s.autonomous = s.autonomous or done
@@ -456,7 +472,7 @@ class BusView:
         """Safety rule 6: a reset is granted in AS_INIT and AS_OFF only."""
         s = self.seen
         self.now_ns = now_ns
-        known = s.status_ns is not None and now_ns - s.status_ns < n.STATUS_LOST_NS
+        known = s.status_ns is not None and now_ns - s.status_ns < STATUS_LOST_NS
         if granted and (s.as_state not in OFF or not known):
             self.wrong("6", f"a reset was granted in {self.where}")
         s.latched = s.latched and not granted
@@ -483,7 +499,7 @@ class BusView:
             return
         if s.bus_gone:
             return
-        if s.any_status_ns is not None and now_ns - s.any_status_ns >= n.POWER_CYCLE_NS:
+        if s.any_status_ns is not None and now_ns - s.any_status_ns >= POWER_CYCLE_NS:
             s.silent = True
         s.bus_gone = True
         self._lose("the bus was lost")
@@ -537,13 +553,13 @@ class BusView:
     def status_fresh(self) -> bool:
         """The last 0x520 is one that is known, and not stale."""
         s = self.seen
-        return s.known_ns is not None and s.status_ns is not None and self.now_ns - s.status_ns < n.STATUS_FRESH_NS
+        return s.known_ns is not None and s.status_ns is not None and self.now_ns - s.status_ns < STATUS_FRESH_NS
 
     @property
     def state_settled(self) -> bool:
         """AS_STATE has been known for so long that torque may return, in what the sender can have seen."""
         known = self.possible("known", self.seen.known_ns)
-        return any(t is not None and self.now_ns - t >= n.AS_STATE_KNOWN_NS - self.slack_ns for t in known)
+        return any(t is not None and self.now_ns - t >= AS_STATE_KNOWN_NS - self.slack_ns for t in known)
 
     @property
     def commands_count(self) -> bool:
@@ -557,7 +573,7 @@ class BusView:
         Its first wheel speeds come up to a cycle after its first frame, and those that prove rest up to a cycle later.
         """
         since_ns = self.now_ns - (self.start_ns or 0)
-        return not self.from_start and not self.wheels.turned and since_ns < n.STILL_NS + 2 * n.CYCLE_NS
+        return not self.from_start and not self.wheels.turned and since_ns < STILL_NS + 2 * CYCLE_NS
 
     @property
     def may_rise(self) -> bool:

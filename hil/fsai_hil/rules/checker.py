@@ -15,10 +15,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from fsai_hil.rules import numbers as n
 from fsai_hil.rules.bus_view import HEEDED_IDS, OFF, RESTART_GAP_NS
 from fsai_hil.rules.frame_rules import CHECKS, RULES
-from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.numbers import CAR_PATIENCE_NS, MS, S
 from fsai_hil.rules.reactions import Reactions
 from fsai_hil.rules.seen import Violation
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
@@ -301,4 +300,4 @@ def checker_for(codec: Codec, *, busy_machine: bool) -> WireChecker:
     """
     if not busy_machine:
         return WireChecker(codec)
-    return WireChecker(codec, in_flight_ns=n.CAR_PATIENCE_NS // 2, handshake_in_flight_ns=n.CAR_PATIENCE_NS)
+    return WireChecker(codec, in_flight_ns=CAR_PATIENCE_NS // 2, handshake_in_flight_ns=CAR_PATIENCE_NS)

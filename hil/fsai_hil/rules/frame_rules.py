@@ -10,9 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from fsai_hil.rules import numbers as n
 from fsai_hil.rules.bus_view import BRAKE_STEP_PCT, OFF, ROLES, WHOLE, BusView
-from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.numbers import (
+    CYCLE_GAP_NS,
+    CYCLE_NS,
+    FEEDBACK_STALE_NS,
+    LAUNCH_NS,
+    MS,
+    STATUS_FRESH_NS,
+    S,
+    constant_power_nm,
+)
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer
 
@@ -37,7 +45,7 @@ RULES: Final = {
 
 UNBRAKED: Final = (*OFF, AsState.EMERGENCY_BRAKE)  # output table: the car holds or brakes itself there
 STEER_STEP_DEG: Final = 0.1  # interface specification v4.0: the signal's resolution
-LONGEST_TURN_NS: Final = 2 * n.CYCLE_NS  # after a longer pause nobody turns by all that was missed
+LONGEST_TURN_NS: Final = 2 * CYCLE_NS  # after a longer pause nobody turns by all that was missed
 TINY: Final = 1e-6  # of a float
 
 Axle = AiDriveFront | AiDriveRear
@@ -70,7 +78,7 @@ def rule(name: str, *kinds: str, of_process: bool = False) -> Callable[[Check], 
 @rule("interval", "0x510")
 def _apart(v: BusView, ai: AiStatus) -> Iterator[str]:
     """Two sends are never closer than 8 ms."""
-    if v.interval_ns is not None and v.interval_ns < n.CYCLE_GAP_NS - v.slack_ns:
+    if v.interval_ns is not None and v.interval_ns < CYCLE_GAP_NS - v.slack_ns:
         yield f"two cycles only {v.interval_ns / MS:.2f} ms apart"
 
 
@@ -227,7 +235,7 @@ def _may_drive(v: BusView, axle: Axle) -> Iterator[str]:
     """
     s, t_ns, name = v.seen, v.now_ns, _name(axle)
     if not v.states:
-        if v.from_start or t_ns - (v.start_ns or 0) >= n.STATUS_FRESH_NS:
+        if v.from_start or t_ns - (v.start_ns or 0) >= STATUS_FRESH_NS:
             yield f"{name} torque before any 0x520"
         return
     if AsState.AS_DRIVING not in v.states:
@@ -235,7 +243,7 @@ def _may_drive(v: BusView, axle: Axle) -> Iterator[str]:
     if not v.state_settled:
         yield f"{name} torque after a 0x520 whose AS_STATE no table knows, and not 100 ms of known ones since"
     age_ns = t_ns - (s.status_ns or 0)
-    if age_ns >= n.STATUS_FRESH_NS + v.in_flight_ns:  # stale after 50 ms is stale at 50 ms
+    if age_ns >= STATUS_FRESH_NS + v.in_flight_ns:  # stale after 50 ms is stale at 50 ms
         yield f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old"
     if v.ai.direction is not Direction.FORWARD and v.cycles:
         yield f"{name} torque with direction {v.ai.direction.label}"
@@ -257,7 +265,7 @@ def _may_move(v: BusView, name: str, t_ns: int) -> Iterator[str]:
             yield f"{name} torque without 5 s in AS_READY before Go"
         if s.mission is Ami.NOT_SELECTED or not s.acknowledged:
             yield f"{name} torque without a mission that was acknowledged"
-        if s.driving_ns is not None and t_ns - s.driving_ns < n.LAUNCH_NS - v.slack_ns:
+        if s.driving_ns is not None and t_ns - s.driving_ns < LAUNCH_NS - v.slack_ns:
             yield f"{name} torque {(t_ns - s.driving_ns) / S:.3f} s after AS_DRIVING began"
     if v.process is None:
         return
@@ -298,7 +306,7 @@ def _within_torque(v: BusView, axle: Axle) -> Iterator[str]:
     speeds = v.possible("rpm", v.wheels.rpm)
     if speeds and not v.wheels.open:
         fastest = min(max(rpm[:2] if front else rpm[2:]) for rpm in speeds)
-        most_nm = min(most_nm, n.constant_power_nm(fastest))
+        most_nm = min(most_nm, constant_power_nm(fastest))
     elif v.from_start and not speeds:
         most_nm = 0.0
     if v.order is not None and not _brakes_by(v, axle):
@@ -306,7 +314,7 @@ def _within_torque(v: BusView, axle: Axle) -> Iterator[str]:
     if axle.torque_nm > most_nm + TINY:
         yield f"{_name(axle)} torque {axle.torque_nm:.1f} Nm above its limit {most_nm:.1f}"
     age_ns = 0 if max_ns is None else v.now_ns - max_ns
-    if age_ns >= n.FEEDBACK_STALE_NS + v.in_flight_ns:
+    if age_ns >= FEEDBACK_STALE_NS + v.in_flight_ns:
         yield f"{_name(axle)} torque by a live limit {age_ns / MS:.0f} ms old"
 
 
@@ -391,7 +399,7 @@ def _steers(v: BusView, steer: AiSteer) -> Iterator[str]:
             yield "the software ends at rest, and not with zeros"
         return
     stopping = s.stopped is not None or s.latched
-    if v.now_ns - s.driving_ns < n.LAUNCH_NS and not stopping:
+    if v.now_ns - s.driving_ns < LAUNCH_NS and not stopping:
         if deg != 0.0:
             yield f"steering {deg} deg in the first 3 s of AS_DRIVING"
         return
@@ -462,7 +470,7 @@ def _brakes(v: BusView, brake: AiBrake) -> Iterator[str]:
         if pct != process.service_brake_pct:
             why = "an emergency is asked for" if s.latched else s.stopped
             yield f"brake {pct} %, not the service brake: {why}"
-    elif s.stopped is not None or (s.driving_ns is not None and v.now_ns - s.driving_ns < n.LAUNCH_NS):
+    elif s.stopped is not None or (s.driving_ns is not None and v.now_ns - s.driving_ns < LAUNCH_NS):
         if pct <= 0.0:
             yield f"no holding brake: {s.stopped or 'the first 3 s of AS_DRIVING'}"
     elif order is None:
@@ -480,7 +488,7 @@ def _brakes_by_motors(v: BusView, brake: AiBrake) -> Iterator[str]:
     if not (v.nothing_hidden and v.motor_brakes) or s.as_state is not AsState.AS_DRIVING:
         return
     times = wheels.believed_ns, s.front_ns, s.rear_ns
-    known = v.status_fresh and all(t is not None and now_ns - t < n.FEEDBACK_STALE_NS for t in times)
+    known = v.status_fresh and all(t is not None and now_ns - t < FEEDBACK_STALE_NS for t in times)
     due = s.stopped is not None and not s.latched and not wheels.may_stand(now_ns)
     if due and known and (s.torque_runs or v.may_rise) and not (v.cycle.torque and not v.cycle.motor_rpm):
         yield "the motors do not brake, and a stop is due"

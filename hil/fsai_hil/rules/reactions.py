@@ -10,9 +10,22 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from fsai_hil.rules import numbers as n
 from fsai_hil.rules.bus_view import BRAKE_STEP_PCT, OFF, ROLES, WHOLE, BusView
-from fsai_hil.rules.numbers import MS, S
+from fsai_hil.rules.numbers import (
+    CERTAINLY_NS,
+    COMMAND_FRESH_NS,
+    COMMAND_LOST_NS,
+    FEEDBACK_LOST_NS,
+    FEEDBACK_STALE_NS,
+    LAUNCH_NS,
+    MS,
+    ODD_LOST_NS,
+    ODD_NS,
+    PEDALS_NS,
+    STATUS_LOST_NS,
+    STILL_RPM,
+    S,
+)
 from fsai_hil.rules.shown import SHOWN
 from fsai_vcu.interface.enums import Ami, AsState
 
@@ -46,16 +59,16 @@ class Reactions(BusView):
         assert process is not None
         self.now_ns = now_ns
         self.order = None
-        waits = s.reopening and s.back_ns is not None and now_ns - s.back_ns < n.STATUS_LOST_NS
+        waits = s.reopening and s.back_ns is not None and now_ns - s.back_ns < STATUS_LOST_NS
         if s.bus_gone or waits or (s.ended is not None and s.ended >= process.stop_cycles):
             return False, False
         if s.began_ns is None:
             s.began_ns = now_ns
         self.over = s.stopped is not None
         age_ns = None if s.command_ns is None else now_ns - s.command_ns
-        self.order = s.order if age_ns is not None and age_ns < n.COMMAND_FRESH_NS else None
+        self.order = s.order if age_ns is not None and age_ns < COMMAND_FRESH_NS else None
         if s.as_state is AsState.AS_DRIVING and s.driving_ns is not None:
-            return self._look_at_the_run(age_ns, s.driving_ns + n.LAUNCH_NS)
+            return self._look_at_the_run(age_ns, s.driving_ns + LAUNCH_NS)
         if (
             process.autonomous_at_power_up
             and not process.listen_only
@@ -84,7 +97,7 @@ class Reactions(BusView):
                     self._alarm(f"{row.what} for {row.alarm_ns / MS:.0f} ms")
         lost = runs = False
         if supervised:
-            lost = s.autonomous and self._without_command_ns(now_ns - launched_ns, age_ns) >= n.COMMAND_LOST_NS
+            lost = s.autonomous and self._without_command_ns(now_ns - launched_ns, age_ns) >= COMMAND_LOST_NS
             runs = not self.over and not s.latched
             if not self.nothing_hidden:  # no stop or emergency has begun for another reason: there would be a brake
                 unbraked = self.whole_in_a_row > 2 and s.braked_pct == 0.0 and not self.motor_brakes
@@ -105,9 +118,9 @@ class Reactions(BusView):
         assert process is not None
         slow = (
             wheels.rpm is not None
-            and (max(wheels.rpm) < n.STILL_RPM or wheels.open)
+            and (max(wheels.rpm) < STILL_RPM or wheels.open)
             and wheels.may_count_ns is not None
-            and self.now_ns - wheels.may_count_ns < n.FEEDBACK_STALE_NS
+            and self.now_ns - wheels.may_count_ns < FEEDBACK_STALE_NS
         )
         if self.now_ns - self.seen.stopped_ns >= process.stop_timeout_ns + 100 * MS and not slow:
             self._alarm("the car still moves long after the stop began")
@@ -116,7 +129,7 @@ class Reactions(BusView):
         """Return for how long no cycle has had a fresh command: one on old data ends nothing."""
         s = self.seen
         without_ns = supervised_ns if age_ns is None else min(supervised_ns, age_ns)
-        if without_ns < n.COMMAND_FRESH_NS:
+        if without_ns < COMMAND_FRESH_NS:
             s.stale_ns = None
         elif s.stale_ns is None:
             s.stale_ns = self.now_ns
@@ -140,7 +153,7 @@ class Reactions(BusView):
         if t_ns is None:
             return -1
         self.certain_ns[t_ns] = self.now_ns
-        return self.now_ns - max(t_ns, driving_ns + n.LAUNCH_NS) - n.CERTAINLY_NS
+        return self.now_ns - max(t_ns, driving_ns + LAUNCH_NS) - CERTAINLY_NS
 
     def _look_at_wishes(self, launched_ns: int) -> None:
         """Find what the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
@@ -156,7 +169,7 @@ class Reactions(BusView):
             s.pedals_ns = max(s.command_ns, launched_ns) if self.nothing_hidden else now_ns
         listens = not self.over if self.nothing_hidden else s.stopped is None
         if order is not None and s.autonomous and listens and not s.latched:
-            if s.pedals_ns is not None and now_ns - s.pedals_ns >= n.PEDALS_NS:
+            if s.pedals_ns is not None and now_ns - s.pedals_ns >= PEDALS_NS:
                 self._alarm("throttle and brake together for 100 ms")
             if order.estop:
                 self._alarm("the mission asks for the emergency brake")
@@ -189,10 +202,10 @@ AT_ONCE: Final[tuple[tuple[str, Callable[[Reactions], bool]], ...]] = (
 )
 """Conditions that stop a run in the cycle in which they are seen."""
 
-STALE: Final = n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS
-ODD: Final = n.ODD_NS, n.ODD_LOST_NS
+STALE: Final = FEEDBACK_STALE_NS, FEEDBACK_LOST_NS
+ODD: Final = ODD_NS, ODD_LOST_NS
 GRADED: Final = (
-    Lasting("0x520 is lost", lambda v: v.missing_ns(v.seen.status_ns), alarm_ns=n.STATUS_LOST_NS, supervised=False),
+    Lasting("0x520 is lost", lambda v: v.missing_ns(v.seen.status_ns), alarm_ns=STATUS_LOST_NS, supervised=False),
     Lasting("wheel speeds missing", lambda v: v.missing_ns(v.wheels.may_count_ns), *STALE),
     Lasting("steering feedback missing", lambda v: v.missing_ns(v.seen.steer_ns), *STALE),
     Lasting("the steering implausible", lambda v: v.since_ns(v.seen.steer_odd_ns), *ODD),

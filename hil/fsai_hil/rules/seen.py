@@ -9,8 +9,31 @@ from typing import Annotated, Any, Final, NamedTuple
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
-from fsai_hil.rules import numbers as n
 from fsai_hil.rules.declared import declared, edges_ns
+from fsai_hil.rules.numbers import (
+    AS_STATE_KNOWN_NS,
+    COMMAND_FRESH_NS,
+    COMMAND_LOST_NS,
+    COUNTED_NS,
+    CYCLE_NS,
+    FEEDBACK_LOST_NS,
+    FEEDBACK_STALE_NS,
+    LAUNCH_NS,
+    LISTEN_FIRST_NS,
+    ODD_LOST_NS,
+    ODD_NS,
+    PEDALS_NS,
+    POWER_CYCLE_NS,
+    READY_SEEN_NS,
+    SEND_LOST_NS,
+    SPEED_JUMP_NS,
+    SPEEDS_FRESH_NS,
+    STATUS_FRESH_NS,
+    STATUS_LOST_NS,
+    STILL_NS,
+    STOP_CYCLES,
+    STOP_TIMEOUT_NS,
+)
 from fsai_hil.rules.shown import SHOWN
 from fsai_vcu.core.ages import Ages, NotSearched
 from fsai_vcu.interface.enums import Ami, AsState
@@ -48,8 +71,8 @@ class Process(Value, frozen=True):
     listen_only: bool = False
     autonomous_at_power_up: bool = False
     service_brake_pct: float = 80.0  # what a stop is made with
-    stop_cycles: int = n.STOP_CYCLES
-    stop_timeout_ns: int = n.STOP_TIMEOUT_NS
+    stop_cycles: int = STOP_CYCLES
+    stop_timeout_ns: int = STOP_TIMEOUT_NS
     nothing_hidden: bool = False
     follows: bool = False
 
@@ -63,27 +86,25 @@ class Seen(Struct):
     # what the car sent
     as_state: AsState | None = None
     go: bool = False
-    status_ns: Annotated[int | None, Ages(n.STATUS_FRESH_NS, n.STATUS_LOST_NS)] = None
-    any_status_ns: Annotated[int | None, Ages(gap=(n.POWER_CYCLE_NS,))] = None  # any 0x520, believed or not
+    status_ns: Annotated[int | None, Ages(STATUS_FRESH_NS, STATUS_LOST_NS)] = None
+    any_status_ns: Annotated[int | None, Ages(gap=(POWER_CYCLE_NS,))] = None  # any 0x520, believed or not
     # since when each 0x520 has been one that is known; None: the last is not
-    known_ns: Annotated[int | None, Ages(n.AS_STATE_KNOWN_NS)] = None
+    known_ns: Annotated[int | None, Ages(AS_STATE_KNOWN_NS)] = None
     silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
     marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
     handshake: bool | None = None
     mission: Ami = Ami.NOT_SELECTED
-    ready_ns: Annotated[int | None, Ages(n.READY_SEEN_NS)] = None  # since when it has been AS_READY
+    ready_ns: Annotated[int | None, Ages(READY_SEEN_NS)] = None  # since when it has been AS_READY
     waited: bool = False  # for 5 s before Go
     path: int = 0
     # None: not driving, or since before the log began
-    driving_ns: Annotated[
-        int | None, Ages(n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS)
-    ] = None
+    driving_ns: Annotated[int | None, Ages(LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS)] = None
     angle_max_deg: float | None = None
-    steer_ns: Annotated[int | None, Ages(n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS)] = None
+    steer_ns: Annotated[int | None, Ages(FEEDBACK_STALE_NS, FEEDBACK_LOST_NS)] = None
     front_max_nm: float | None = None
-    front_ns: Annotated[int | None, Ages(n.FEEDBACK_STALE_NS)] = None
+    front_ns: Annotated[int | None, Ages(FEEDBACK_STALE_NS)] = None
     rear_max_nm: float | None = None
-    rear_ns: Annotated[int | None, Ages(n.FEEDBACK_STALE_NS)] = None
+    rear_ns: Annotated[int | None, Ages(FEEDBACK_STALE_NS)] = None
     # what people and the planner asked for
     autonomous: bool = False
     power_up: bool = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
@@ -92,26 +113,26 @@ class Seen(Struct):
     latched: bool = False  # an emergency: granted, or seen on the wire
     order: Order | None = None  # the newest valid command
     # of it; data of 500 ms ages like a command of 100 ms
-    command_ns: Annotated[int | None, Ages(n.COMMAND_FRESH_NS, n.COMMAND_LOST_NS)] = None
+    command_ns: Annotated[int | None, Ages(COMMAND_FRESH_NS, COMMAND_LOST_NS)] = None
     # the first cycle without a fresh command; None: the last one had one
-    stale_ns: Annotated[int | None, Ages(n.COMMAND_LOST_NS)] = None
-    pedals_ns: Annotated[int | None, Ages(n.PEDALS_NS)] = None  # since when every command has asked for both
+    stale_ns: Annotated[int | None, Ages(COMMAND_LOST_NS)] = None
+    pedals_ns: Annotated[int | None, Ages(PEDALS_NS)] = None  # since when every command has asked for both
     # what went wrong
     alarm: str | None = None  # why an emergency is due in this run
     stopped: str | None = None  # why torque is over in this run
     stopped_ns: Annotated[int, NotSearched("it is of a log, or where stops may be hidden")] = 0
-    steer_odd_ns: Annotated[int | None, Ages(n.ODD_NS, n.ODD_LOST_NS)] = None
-    wheel_odd_ns: Annotated[int | None, Ages(n.ODD_NS, n.ODD_LOST_NS)] = None
+    steer_odd_ns: Annotated[int | None, Ages(ODD_NS, ODD_LOST_NS)] = None
+    wheel_odd_ns: Annotated[int | None, Ages(ODD_NS, ODD_LOST_NS)] = None
     restarted: bool = True  # the process is new and has not seen AS_OFF yet
     bus_gone: bool = False
     reopening: bool = False  # the bus is back, and the car has not been received on it
     # what could not be received before then is not missing
-    back_ns: Annotated[int | None, Ages(n.STATUS_LOST_NS, n.FEEDBACK_LOST_NS)] = None
+    back_ns: Annotated[int | None, Ages(STATUS_LOST_NS, FEEDBACK_LOST_NS)] = None
     ended: int | None = None  # cycles sent since the software was asked to stop
     # what went out
-    began_ns: Annotated[int | None, Ages(n.LISTEN_FIRST_NS)] = None  # the first cycle, sent or not
+    began_ns: Annotated[int | None, Ages(LISTEN_FIRST_NS)] = None  # the first cycle, sent or not
     # the last cycle that went out whole, or the first that was tried
-    complete_ns: Annotated[int | None, Ages(n.SEND_LOST_NS)] = None
+    complete_ns: Annotated[int | None, Ages(SEND_LOST_NS)] = None
     torque_nm: tuple[float, float] = (0.0, 0.0)  # front and rear, as the VCU has last seen them
     brake_pct: tuple[float, float] = (0.0, 0.0)
     braked_pct: float = 0.0  # what this process asked for last
@@ -124,7 +145,7 @@ class Seen(Struct):
     whole: bool = True  # the last cycle that was made went out whole
 
 
-class Parts:
+class FieldParts:
     """The fields of a value apart: its times, by their declarations, and the others."""
 
     def __init__(self, made: type[Any]) -> None:
@@ -144,13 +165,13 @@ class Parts:
         return dict(zip(self._names, (*others, *been), strict=True))
 
 
-PARTS: Final = Parts(Seen)
+PARTS: Final = FieldParts(Seen)
 EDGES: Final = (
     *map(edges_ns, PARTS.ages),
     *(row.edges_ns for row in SHOWN),
-    (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
-    (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
-    (n.STILL_NS,),
-    (n.COUNTED_NS,),
+    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
+    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
+    (STILL_NS,),
+    (COUNTED_NS,),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""

@@ -11,11 +11,25 @@ from collections import deque
 from enum import Enum, auto
 from typing import Final
 
-from fsai_hil.rules import numbers as n
+from fsai_hil.rules.numbers import (
+    COUNT_SLACK,
+    COUNTED_NS,
+    CYCLE_NS,
+    DOUBT_OPEN_TURNS,
+    DOUBT_SURE_TURNS,
+    FEEDBACK_STALE_NS,
+    SPEED_CHANGE_MOST_RPM,
+    SPEED_JUMP_NS,
+    SPEED_MOST_RPM,
+    SPEEDS_FRESH_NS,
+    STILL_NS,
+    STILL_RPM,
+    TURNING_PULSES,
+)
 
 Rpm = tuple[int, int, int, int]
 _COUNTS: Final = 1 << 16
-_CREEP_RPM: Final = 2 * n.STILL_RPM  # a reading under 10 rpm and a wheel that truly turns at no more agree
+_CREEP_RPM: Final = 2 * STILL_RPM  # a reading under 10 rpm and a wheel that truly turns at no more agree
 
 
 class Belief(Enum):
@@ -35,10 +49,10 @@ class _Stillness:
         self.ended: tuple[int, int] | None = None  # when standing ended, and since when it had lasted
 
     def on_speeds(self, rpm: Rpm, t_ns: int, slack_ns: int) -> None:
-        if self.newest_ns is not None and t_ns - self.newest_ns >= n.SPEEDS_FRESH_NS + slack_ns:
+        if self.newest_ns is not None and t_ns - self.newest_ns >= SPEEDS_FRESH_NS + slack_ns:
             self.since_ns = None
         self.newest_ns = t_ns
-        if max(rpm) >= n.STILL_RPM:
+        if max(rpm) >= STILL_RPM:
             if self.since_ns is not None:
                 self.ended = t_ns, self.since_ns
             self.since_ns = None
@@ -46,12 +60,12 @@ class _Stillness:
             self.since_ns = t_ns
 
     def proven(self, now_ns: int, in_flight_ns: int, slack_ns: int) -> bool:
-        if self.newest_ns is None or now_ns - self.newest_ns >= n.SPEEDS_FRESH_NS + slack_ns:
+        if self.newest_ns is None or now_ns - self.newest_ns >= SPEEDS_FRESH_NS + slack_ns:
             return False
         since_ns, until_ns = self.since_ns, self.newest_ns
         if since_ns is None and self.ended is not None and now_ns - self.ended[0] < in_flight_ns:
             since_ns = self.ended[1]
-        return since_ns is not None and (now_ns if slack_ns else until_ns) - since_ns >= n.STILL_NS - slack_ns
+        return since_ns is not None and (now_ns if slack_ns else until_ns) - since_ns >= STILL_NS - slack_ns
 
 
 class Wheels:
@@ -87,14 +101,14 @@ class Wheels:
         if before is None:
             return
         steps = [(now - then) % _COUNTS for now, then in zip(counts, before, strict=True)]
-        most = n.SPEED_MOST_RPM / 60.0 * self._pulses_per_rev * max(t_ns - before_ns, n.CYCLE_NS) / 1e9 + n.COUNT_SLACK
+        most = SPEED_MOST_RPM / 60.0 * self._pulses_per_rev * max(t_ns - before_ns, CYCLE_NS) / 1e9 + COUNT_SLACK
         anew = max(steps) > most
         if not anew:
             for wheel, step in enumerate(steps):
                 if step:
                     self._on_pulses(wheel, step, t_ns)
         readings, self._readings = self._readings, self._readings[-1:]
-        apart = t_ns - before_ns >= n.FEEDBACK_STALE_NS or t_ns - self._reading_ns >= n.FEEDBACK_STALE_NS
+        apart = t_ns - before_ns >= FEEDBACK_STALE_NS or t_ns - self._reading_ns >= FEEDBACK_STALE_NS
         if anew or apart or not readings:
             self._ahead, self._doubt = [0.0] * 4, [Belief.YES] * 4
             return
@@ -104,9 +118,9 @@ class Wheels:
             self._compare(wheel, steps[wheel], min(seen), max(seen), dt_s)
 
     def _on_pulses(self, wheel: int, step: int, t_ns: int) -> None:
-        older_ns = t_ns if step >= n.TURNING_PULSES else self._pulse_ns[wheel]
+        older_ns = t_ns if step >= TURNING_PULSES else self._pulse_ns[wheel]
         self._pulse_ns[wheel] = t_ns
-        if older_ns is not None and t_ns - older_ns < n.COUNTED_NS + self._in_flight_ns:
+        if older_ns is not None and t_ns - older_ns < COUNTED_NS + self._in_flight_ns:
             self._has_counted[wheel] = True
             if self.turning_ns is None or older_ns > self.turning_ns:
                 self.turning_ns = older_ns
@@ -117,18 +131,18 @@ class Wheels:
     def _compare(self, wheel: int, step: int, least_rpm: int, most_rpm: int, dt_s: float) -> None:
         """Add up by how much a wheel's pulses are ahead of its speeds, and doubt it where that is too much."""
         ahead = self._ahead[wheel]
-        if most_rpm < n.STILL_RPM:
+        if most_rpm < STILL_RPM:
             ahead = max(0.0, max(0.0, ahead) + step / self._pulses_per_rev - _CREEP_RPM / 60.0 * dt_s)
         elif step == 0 and least_rpm >= _CREEP_RPM:
             ahead = min(0.0, ahead) - least_rpm / 60.0 * dt_s
         else:
             ahead = 0.0
-        self._ahead[wheel] = ahead = max(-n.DOUBT_SURE_TURNS, min(n.DOUBT_SURE_TURNS, ahead))
-        if abs(ahead) >= n.DOUBT_SURE_TURNS and (ahead > 0.0 or self._has_counted[wheel]):
+        self._ahead[wheel] = ahead = max(-DOUBT_SURE_TURNS, min(DOUBT_SURE_TURNS, ahead))
+        if abs(ahead) >= DOUBT_SURE_TURNS and (ahead > 0.0 or self._has_counted[wheel]):
             self._doubt[wheel] = Belief.NO
-        elif self._doubt[wheel] is Belief.NO and abs(ahead) >= n.DOUBT_SURE_TURNS - n.DOUBT_OPEN_TURNS:
+        elif self._doubt[wheel] is Belief.NO and abs(ahead) >= DOUBT_SURE_TURNS - DOUBT_OPEN_TURNS:
             pass  # a pause between two pulses dispels no doubt
-        elif abs(ahead) >= n.DOUBT_OPEN_TURNS:
+        elif abs(ahead) >= DOUBT_OPEN_TURNS:
             self._doubt[wheel] = Belief.OPEN
         elif ahead == 0.0:
             self._doubt[wheel] = Belief.YES
@@ -138,7 +152,7 @@ class Wheels:
     def on_speeds(self, rpm: Rpm, t_ns: int) -> Belief:
         """Take the wheel speeds of a 0x525; return whether they count."""
         belief = self._belief(rpm, t_ns)
-        if max(rpm) <= n.SPEED_MOST_RPM:
+        if max(rpm) <= SPEED_MOST_RPM:
             if self._counts is None:
                 self._readings.clear()
             self._readings.append(rpm)
@@ -146,7 +160,7 @@ class Wheels:
         if belief is Belief.NO:
             return belief
         self.may_count_ns, self.open = t_ns, belief is Belief.OPEN
-        stands = max(rpm) < n.STILL_RPM
+        stands = max(rpm) < STILL_RPM
         if belief is Belief.YES:
             self.rpm, self.believed_ns = rpm, t_ns
             self.turned = self.turned or not stands
@@ -158,19 +172,19 @@ class Wheels:
 
     def _belief(self, rpm: Rpm, t_ns: int) -> Belief:
         """Return whether these speeds count, by their size, the pulses and their change."""
-        if max(rpm) > n.SPEED_MOST_RPM:
+        if max(rpm) > SPEED_MOST_RPM:
             return Belief.NO
         worst = Belief.YES
-        if self._counts is not None and t_ns - self._counts_ns < n.FEEDBACK_STALE_NS:
+        if self._counts is not None and t_ns - self._counts_ns < FEEDBACK_STALE_NS:
             for wheel, doubt in enumerate(self._doubt):
-                contradicts = rpm[wheel] < n.STILL_RPM if self._ahead[wheel] >= 0.0 else rpm[wheel] >= _CREEP_RPM
+                contradicts = rpm[wheel] < STILL_RPM if self._ahead[wheel] >= 0.0 else rpm[wheel] >= _CREEP_RPM
                 if contradicts and doubt is not Belief.YES:
                     if doubt is Belief.NO:
                         return Belief.NO
                     worst = Belief.OPEN
         if self.rpm is not None and self.believed_ns is not None:
             jump_rpm = max([abs(now - then) for now, then in zip(rpm, self.rpm, strict=True)])
-            if jump_rpm > n.SPEED_CHANGE_MOST_RPM and t_ns - self.believed_ns < n.SPEED_JUMP_NS + self._slack_ns:
+            if jump_rpm > SPEED_CHANGE_MOST_RPM and t_ns - self.believed_ns < SPEED_JUMP_NS + self._slack_ns:
                 # What it is compared with may be another frame where the last one was left open, or not yet received.
                 return Belief.OPEN if self.open or self._in_flight_ns else Belief.NO
         return worst
@@ -186,7 +200,7 @@ class Wheels:
             seen_ns, turning_ns = self._turnings[0]
             if now_ns - seen_ns < self._in_flight_ns:
                 return False
-        return turning_ns is not None and now_ns - turning_ns < n.COUNTED_NS - self._slack_ns
+        return turning_ns is not None and now_ns - turning_ns < COUNTED_NS - self._slack_ns
 
     def may_stand(self, now_ns: int) -> bool:
         """Return whether a careful reader may take the car to stand (safety rule 3)."""
@@ -203,12 +217,12 @@ class Wheels:
         wheels stood until then, and since when none turned. Of the pulse counts that is all.
         """
         turning_ns = -1 if self.turning_ns is None else now_ns - self.turning_ns
-        if turning_ns >= n.COUNTED_NS:
+        if turning_ns >= COUNTED_NS:
             turning_ns = -1
         if self.believed_ns is None or self.may_count_ns is None:
             return None, (-1, -1, -1, turning_ns)
         since_ns, age_ns = self._surely.since_ns, now_ns - self.may_count_ns
-        still_ns = -1 if since_ns is None or age_ns >= n.SPEEDS_FRESH_NS else self.may_count_ns - since_ns
+        still_ns = -1 if since_ns is None or age_ns >= SPEEDS_FRESH_NS else self.may_count_ns - since_ns
         return self.rpm, (now_ns - self.believed_ns, age_ns, still_ns, turning_ns)
 
     def load(self, rpm: Rpm | None, ages: tuple[int, int, int, int], now_ns: int) -> None:

@@ -83,7 +83,7 @@ _CONES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class OutputKind:
     """One kind: its type as 'package/Name', what makes it, and of which message it is made."""
 
     kind: str
@@ -100,14 +100,14 @@ def ros_type(name: str, of: str = "msg") -> type[Any]:
         raise ImportError(f"{kind} is not in this {package}") from None
 
 
-OUTPUTS: dict[str, Output] = {}
+OUTPUTS: dict[str, OutputKind] = {}
 
 
 def _output(kind: str, of: type[Any] = VehicleState) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """The function (type, the project's message, whether the stack drives) makes the output of its name."""
 
     def entered(make: Callable[..., Any]) -> Callable[..., Any]:
-        OUTPUTS[make.__name__] = Output(kind, make, of)
+        OUTPUTS[make.__name__] = OutputKind(kind, make, of)
         return make
 
     return entered

@@ -69,7 +69,7 @@ class Senders:
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class Arrival:
     """Facts about a message besides its content. `gid`: of its publisher, where the middleware tells it."""
 
     topic: str
@@ -102,7 +102,7 @@ class Door:
     ) -> Any:
         """Have `callback` called with each message on `topic` that fits.
 
-        refused: called with the sentence about a message that does not. with_sender: `callback` gets a Message as well.
+        refused: called with the sentence about a message that does not. with_sender: `callback` gets an Arrival, too.
         Raises LookupError for a type that is not declared.
         """
         parts = declared(kind)
@@ -121,7 +121,7 @@ class Door:
             for name, several in leaving_out:
                 self._leave_out(message, name, several, whole, senders, gid)
             if with_sender:
-                callback(message, Message(whole, gid, senders))
+                callback(message, Arrival(whole, gid, senders))
             else:
                 callback(message)
 

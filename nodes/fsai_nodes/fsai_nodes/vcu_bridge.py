@@ -27,7 +27,7 @@ from fsai_nodes.command_owner import CommandOwner
 from fsai_nodes.conversions import (
     command_from_msg,
 )
-from fsai_nodes.door import Door, Message
+from fsai_nodes.door import Arrival, Door
 from fsai_nodes.mission_goal import GoalResult
 from fsai_nodes.mission_server import MissionServer
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
@@ -305,7 +305,7 @@ class VcuBridge(LifecycleNode):
 
     # ------------------------------------------------------------ from ROS to the car
 
-    def _on_command(self, message: VehicleCommand, came: Message) -> None:
+    def _on_command(self, message: VehicleCommand, came: Arrival) -> None:
         """Hand a command that counts to the loop."""
         loop = self._loop
         if loop is None:
@@ -324,7 +324,7 @@ class VcuBridge(LifecycleNode):
         if words := loop.submit_command(command_from_msg(message, sensor_ns)):
             self._on_refused_command(self._door.refuse(came.topic, came.sender, words))
 
-    def _is_the_runs(self, message: VehicleCommand, came: Message, now_ns: int) -> bool:
+    def _is_the_runs(self, message: VehicleCommand, came: Arrival, now_ns: int) -> bool:
         """Return true where the command is of the one publisher whose commands the run takes."""
         run = self._outputs.run
         if run is None or message.run_id != run.run_id:
@@ -349,7 +349,7 @@ class VcuBridge(LifecycleNode):
         silence = self._commands.silence(now_ns) or self._note
         return silence or self._commands.old_data() or "commands come, but late or refused"
 
-    def _on_confirmation(self, message: ResetConfirmation, came: Message) -> None:
+    def _on_confirmation(self, message: ResetConfirmation, came: Arrival) -> None:
         if self._loop is None:
             return
         if message.role == ResetConfirmation.CONTROLLER and came.gid is not None:

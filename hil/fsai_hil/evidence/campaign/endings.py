@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import Any, Final
 
-from fsai_hil.rules import numbers as n
-from fsai_hil.rules.numbers import MS
+from fsai_hil.rules.numbers import CAR_PATIENCE_NS, FEEDBACK_LOST_NS, MS
 from fsai_vcu.interface.values import Value
 
 Params = Mapping[str, Any]  # what was drawn for a fault, by name
@@ -122,7 +121,7 @@ NOTHING: Final = ends(End.ON)
 ANY: Final = Must(SAFE_ENDS, note="it cannot be told from the truth")
 PAUSE: Final = ends(End.ON, pauses=True)
 STOP: Final = ends(End.STOP)
-IN_TIME_MS: Final = n.CAR_PATIENCE_NS // MS + SLACK_MS  # the car misses its echo
+IN_TIME_MS: Final = CAR_PATIENCE_NS // MS + SLACK_MS  # the car misses its echo
 CAR_STOPS: Final = ends(End.SELF, End.ESTOP, safe_ms=IN_TIME_MS)
 MAY_STOP_ITSELF: Final = ends(End.ON, End.SELF)
 ODD: Final = ends(End.ON, End.HELD, End.STOP, End.ESTOP, note="stops once it is certainly implausible", shows_late=True)
@@ -130,4 +129,4 @@ UNBELIEVED: Final = ends(End.ON, End.HELD, End.STOP, End.ESTOP, note="the speeds
 ROUGH: Final = ends(End.ON, End.HELD, End.STOP, End.ESTOP, note="every limit and interlock holds")
 WITHIN_LIMIT: Final = ends(End.ON, End.HELD, note="never above the live limit")
 SILENT: Final = ends(End.SELF, safe_ms=IN_TIME_MS)
-LOST_FEEDBACK: Final = Graded(((100, STOP), (300, estop(n.FEEDBACK_LOST_NS // MS))))
+LOST_FEEDBACK: Final = Graded(((100, STOP), (300, estop(FEEDBACK_LOST_NS // MS))))

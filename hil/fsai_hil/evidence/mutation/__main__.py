@@ -15,7 +15,7 @@ from pathlib import Path
 from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation import trial
 from fsai_hil.evidence.mutation.mutants import Key, Mutant
-from fsai_hil.evidence.work import Record, digest_of, followed
+from fsai_hil.evidence.work import RecordFile, digest_of, followed
 from fsai_vcu.runtime.toml_lines import tomllib
 
 RECORD = CHECKOUT / "out" / "mutation" / "record.jsonl"
@@ -98,7 +98,7 @@ def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Names
 
 def _try(baseline: trial.Baseline, chosen: list[Mutant], listed: set[Key], jobs: int, digest: str) -> list[Result]:
     """Try each mutant; keep on disk, line by line, whether it survives: a later run goes on where one was stopped."""
-    with Record(RECORD, {"digest": digest}) as record:
+    with RecordFile(RECORD, {"digest": digest}) as record:
         tried = {tuple(key) for key, _ in record.results}
         waiting = [mutant for mutant in chosen if mutant.key not in tried]
         if len(waiting) < len(chosen):

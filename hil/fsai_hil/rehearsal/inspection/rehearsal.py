@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from fsai_hil.rehearsal.inspection.items import ITEMS, Item
 from fsai_hil.rehearsal.inspection.judge import InspectionJudge, Result
-from fsai_hil.rehearsal.inspection.scenes import END_S, PATTERN, SCENES, Scene
+from fsai_hil.rehearsal.inspection.scenes import END_S, PATTERN, SCENES, InspectionScene
 from fsai_hil.simulator.faults import Changed, Drop
 from fsai_hil.simulator.operator import Operator
 from fsai_hil.simulator.power import POWER_UP
@@ -66,7 +66,7 @@ class RehearsalWorld(World):
             self._ahead.insert(0, ("static-b", SCENES["static-b"]))  # an emergency goes before its power cycle
         self.planned = tuple(name for name, _ in self._ahead)
         self.scene = ""
-        self._scene: Scene | None = None
+        self._scene: InspectionScene | None = None
         self._over = False
         self._normal = self.vcu.profile
         self._stuck: dict[str, int] = {}

@@ -85,7 +85,7 @@ class Stage(Protocol):
         """Say what keeps it from AS_DRIVING after Go."""
 
 
-class Scene(NamedTuple):
+class InspectionScene(NamedTuple):
     """One scene; `mission` is what its drive is judged as, where it is."""
 
     words: str
@@ -334,16 +334,18 @@ def _end(stage: Stage) -> Script:
     )
 
 
-SCENES: Final[Mapping[str, Scene]] = {
-    "handshake": Scene("the car's HANDSHAKE changes in a pattern", _handshake),
-    "bus": Scene("the car is on and no mission chosen; then every processor is busy", _bus),
-    "static-a": Scene("autonomous demo chosen and taken back, then static inspection A", _static_a, "static-a"),
-    "static-b": Scene("static inspection B", _mission(Ami.STATIC_INSPECTION_B), "static-b"),
-    "demo": Scene("power cycle, then the autonomous demo", _mission(Ami.AUTONOMOUS_DEMO), "demo"),
-    "estop": Scene("static inspection A, and the remote's E-stop while wheels turn", _estop),
+SCENES: Final[Mapping[str, InspectionScene]] = {
+    "handshake": InspectionScene("the car's HANDSHAKE changes in a pattern", _handshake),
+    "bus": InspectionScene("the car is on and no mission chosen; then every processor is busy", _bus),
+    "static-a": InspectionScene(
+        "autonomous demo chosen and taken back, then static inspection A", _static_a, "static-a"
+    ),
+    "static-b": InspectionScene("static inspection B", _mission(Ami.STATIC_INSPECTION_B), "static-b"),
+    "demo": InspectionScene("power cycle, then the autonomous demo", _mission(Ami.AUTONOMOUS_DEMO), "demo"),
+    "estop": InspectionScene("static inspection A, and the remote's E-stop while wheels turn", _estop),
     **{
-        f"silence-{can_id:x}": Scene(f"0x{can_id:03X} ({what}) falls silent in AS_DRIVING", _silent(can_id))
+        f"silence-{can_id:x}": InspectionScene(f"0x{can_id:03X} ({what}) falls silent in AS_DRIVING", _silent(can_id))
         for can_id, (what, _) in SILENCES.items()
     },
-    "end": Scene("the program is asked to end", _end),
+    "end": InspectionScene("the program is asked to end", _end),
 }

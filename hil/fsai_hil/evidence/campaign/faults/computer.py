@@ -28,7 +28,7 @@ from fsai_hil.evidence.campaign.faults.kind import (
     late,
     put,
 )
-from fsai_hil.rules import numbers as n
+from fsai_hil.rules.numbers import PEDALS_NS
 from fsai_hil.simulator.lockstep import Lockstep, confident
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Plan
@@ -319,7 +319,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Entry("both_pedals", "throttle and brake in every command: the brake wins").by(
         commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
-        Graded(((0, PAUSE), (100, estop(n.PEDALS_NS // MS + CONTROL_MS)))),
+        Graded(((0, PAUSE), (100, estop(PEDALS_NS // MS + CONTROL_MS)))),
         lasts((10, 50), (160, 2000)),
         Draw("throttle", (0.05, 1.0)),
         Draw("brake", (0.05, 1.0)),
