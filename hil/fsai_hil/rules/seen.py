@@ -10,8 +10,9 @@ from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
 from fsai_hil.rules import numbers as n
-from fsai_hil.rules.declared import declared, edges_ns
+from fsai_hil.rules.declared import all_edges_ns, declared
 from fsai_hil.rules.shown import SHOWN
+from fsai_hil.rules.wheels import WheelAges
 from fsai_vcu.core.ages import Ages, NotSearched
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
@@ -130,9 +131,8 @@ class Parts:
     def __init__(self, made: type[Any]) -> None:
         """Raises ValueError, which names the file to change, if a time has no declaration."""
         notes = declared(made)
-        times = {name: note for name, note in notes.items() if isinstance(note, Ages)}
+        times = [name for name, note in notes.items() if isinstance(note, Ages)]
         others = [name for name, note in notes.items() if not isinstance(note, (Ages, NotSearched))]
-        self.ages = tuple(times.values())
         self.others_of, self.times_of = attrgetter(*others), attrgetter(*times)
         self._names = (*others, *times)
         defaults = {spec.name: None if spec.default is NODEFAULT else spec.default for spec in fields(made)}
@@ -146,11 +146,8 @@ class Parts:
 
 PARTS: Final = Parts(Seen)
 EDGES: Final = (
-    *map(edges_ns, PARTS.ages),
+    *all_edges_ns(Seen),
     *(row.edges_ns for row in SHOWN),
-    (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
-    (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
-    (n.STILL_NS,),
-    (n.COUNTED_NS,),
+    *all_edges_ns(WheelAges),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""
