@@ -507,6 +507,7 @@ class Judge:
         self._states: list[tuple[AsState, int]] = []
         self._reasons: list[str] = []
         self._stay: tuple[float, float, int] | None = None  # where and since when the car must not move
+        self.early_ns: int | None = None  # when it moved before AS_DRIVING, or in the first seconds of it
         self._driving_ns: int | None = None
         self._over_ns: int | None = None  # left AS_DRIVING
         self._stood_ns: int | None = None
@@ -561,6 +562,8 @@ class Judge:
         moved = math.hypot(truth.pose.x_m - x_m, truth.pose.y_m - y_m) > STILL_M
         if moved or (max(truth.wheel_rpm) > STANDING_RPM and since_s > 0.1):
             self._stay = None  # once is enough
+            if self.early_ns is None and self._over_ns is None:
+                self.early_ns = truth.t_ns
             if state is AsState.AS_DRIVING:
                 self._blame(f"moved {since_s:.2f} s after entering AS_DRIVING, must wait {WAIT_S:g} s")
             else:
