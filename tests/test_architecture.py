@@ -288,3 +288,16 @@ def test_no_test_name_is_defined_twice_in_a_file() -> None:
         file: [name for name, times in Counter(names).items() if times > 1] for file, names in named_tests().items()
     }
     assert {file: names for file, names in twice.items() if names} == {}
+
+
+def test_no_test_counts_on_a_path_that_a_machine_lacks() -> None:
+    """Somebody may have made it: a path under `tmp_path` is surely not there."""
+    absent = re.compile(r"(?<![\w}/.])/(?:absent|nowhere|nonexist[ae]nt|missing|gone)\b")
+    tests = CHECKOUT / "tests"
+    found = [
+        f"{path.relative_to(tests)}:{number}: {line.strip()}"
+        for path in sorted(tests.rglob("*.py"))
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if absent.search(line)
+    ]
+    assert not found

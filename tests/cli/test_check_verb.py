@@ -88,7 +88,7 @@ def test_verbs_of_an_earlier_release_say_their_new_name(well: Path, capsys: pyte
     said = capsys.readouterr()
     assert said.out == figures
     assert said.err == "fsai-vcu: stats is now called check --figures\n"
-    assert main(["recorder", "--config", "/nowhere/fsai.toml"]) == 1
+    assert main(["recorder", "--config", str(well.with_name("absent.toml"))]) == 1
     assert capsys.readouterr().err.splitlines()[0] == "fsai-vcu: recorder is now called record --service"
 
 

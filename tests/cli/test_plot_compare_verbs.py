@@ -29,8 +29,9 @@ def test_chosen_signals_are_drawn_into_the_file_that_is_named(
     assert main(["plot", run, "ANGLE", "*.ANGLE_MAX", "-o", str(picture)]) == 0
     assert capsys.readouterr().out == f"saved {picture}: VCU2AI_Steer.ANGLE, VCU2AI_Steer.ANGLE_MAX\n"
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert main(["plot", run, "ANGLE", "-o", "/nowhere/angle.png"]) == 1
-    assert capsys.readouterr().err == "fsai-vcu plot: cannot write /nowhere/angle.png: No such file or directory\n"
+    nowhere = tmp_path / "absent/angle.png"
+    assert main(["plot", run, "ANGLE", "-o", str(nowhere)]) == 1
+    assert capsys.readouterr().err == f"fsai-vcu plot: cannot write {nowhere}: No such file or directory\n"
 
 
 def test_several_logs_are_plotted_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -78,7 +78,7 @@ USES = [
     ("dbc show VCU2AI_Stear", 1, "no message or signal VCU2AI_Stear in 2026; did you mean VCU2AI_Steer"),
     ("dbc show 0x513 nothing", 1, "no message or signal nothing in 2026"),
     ("dbc diff 2021", 2, "diff takes two databases"),
-    ("dbc list --dbc /nowhere.dbc", 1, "/nowhere.dbc"),
+    ("dbc list --dbc absent.dbc", 1, "absent.dbc"),
     ("dump run.log -n 0", 2, "-n is 0, but at least 1 frame can be shown"),
     ("dump run.log -T nan", 2, "-T is nan, not a time"),
     ("dump run.log -L -a", 2, "-a and -t A are of candump's screen: without -L, and with dump"),
@@ -102,7 +102,7 @@ USES = [
             ("run.log --wide --raster 0ms", 2, "no raster: '0ms'"),
         )
     ),
-    ("export run.log --format csv -o /absent/tables", 1, "cannot write /absent/tables: No such file or directory"),
+    ("export run.log --format csv -o absent/tables", 1, "cannot write absent/tables: No such file or directory"),
     # ---------------------------------------------------------------- monitor and pit wall
     ("monitor run.log --rate -1", 2, "--rate is -1, but must be 0 or more"),
     ("monitor run.log --at nan", 2, "--at is nan: neither seconds from 0 on, nor minutes and"),
@@ -172,7 +172,7 @@ USES = [
     ("drive --seed -1", 1, "seed is -1, but must be 0 or more"),
     ("drive --max-speed nan", 1, "max_speed_mps is nan"),
     ("drive --limits gone.toml", 1, "gone.toml"),
-    ("drive --log /absent/bus.log", 1, "/absent/bus.log: No such file or directory"),
+    ("drive --log absent/bus.log", 1, "absent/bus.log: No such file or directory"),
     ("drive --fault steering_frozn", 1, "unknown fault 'steering_frozn'; did you mean steering_frozen"),
     ("drive --fault nothing", 1, "unknown fault 'nothing'; --list-faults shows"),
     ("drive --fault go_off --track small_oval", 1, "--track does not go with --fault"),
@@ -183,8 +183,8 @@ USES = [
     ("track autocross --style tight", 2, "either a file or a name, or --seed N"),
     ("track --seed -1", 1, "generated--1: no such track"),
     ("track gone.csv", 1, "gone.csv: cannot be read"),
-    ("track small_oval -o /absent/folder.csv", 1, "/absent/folder.csv: No such file"),
-    ("track small_oval --plot /absent/folder.png", 1, "/absent: No such file"),
+    ("track small_oval -o absent/folder.csv", 1, "absent/folder.csv: No such file"),
+    ("track small_oval --plot absent/folder.png", 1, "absent: No such file"),
     ("campaign --runs 0 --full 0", 1, "one of them at least 1"),
     ("campaign --faults gremlins", 1, "unknown fault 'gremlins'"),
     ("campaign --missions picnic", 1, "unknown mission 'picnic'"),
@@ -192,7 +192,7 @@ USES = [
     ("campaign --jobs 0", 1, "at least 1 process"),
     ("campaign --window 0.1", 1, "1 to 100 s"),
     ("campaign --faults planner_silent --missions static_inspection_a", 1, "none of these faults applies"),
-    ("campaign --table /absent/record.jsonl", 1, "/absent/record.jsonl: No such file"),
+    ("campaign --table absent/record.jsonl", 1, "absent/record.jsonl: No such file"),
 ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -183,6 +184,8 @@ def test_a_bus_is_physical_unless_it_is_known_not_to_be(
     assert is_physical(spec) is physical
 
 
-def test_without_ip_every_socketcan_interface_counts_as_physical(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "/nonexistent")
+def test_without_ip_every_socketcan_interface_counts_as_physical(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
     assert is_physical("vcan0")

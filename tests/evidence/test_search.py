@@ -18,8 +18,10 @@ from fsai_hil.evidence.scopes import DEAF, GO, MOVES, MOVING, PATH, SCOPES, STAN
 from fsai_hil.evidence.search import Move, Search, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.rules.checker import RULES
+from fsai_hil.rules.declared import all_edges_ns
 from fsai_hil.rules.numbers import CYCLE_NS
 from fsai_hil.rules.seen import Violation
+from fsai_hil.rules.wheels import WheelAges
 from fsai_vcu.core.ages import Ages, NotSearched, Within
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
 from fsai_vcu.core.supervision.config import Reason
@@ -120,6 +122,12 @@ class Later(SupervisorState, frozen=True):
     odd_since_ns: int | None = None
 
 
+class Slid(WheelAges):
+    """What an observer keeps of the wheels with a new time in it."""
+
+    sliding_ns: int = -1
+
+
 class Timed(SupervisorState, frozen=True):
     """The same, and the time says when it matters."""
 
@@ -137,6 +145,8 @@ class Outer(Value, frozen=True):
 def test_a_time_without_its_ages_fails_with_the_file_to_change() -> None:
     with pytest.raises(ValueError, match=r"test_search\.py: Later\.odd_since_ns is a time"):
         TimeFields(Later)
+    with pytest.raises(ValueError, match=r"test_search\.py: Slid\.sliding_ns is a time"):
+        all_edges_ns(Slid)
 
 
 def test_a_declaration_for_a_field_that_is_not_there_is_refused() -> None:

@@ -30,7 +30,7 @@ def observed(
     finished_from_ms: int | None = None,
     over_ms: int | None = None,
     left_course: int = 0,
-    driving_from_ms: int = -5_000,
+    early: bool = False,
     certain_ms: tuple[int, ...] = (),
 ) -> Observation:
     """A drive with cycles every 10 ms as the observer sees it; times are ms after the fault, at 5 s of AS_DRIVING."""
@@ -38,13 +38,13 @@ def observed(
     def reached(t_ms: int, from_ms: int | None) -> bool:
         return from_ms is not None and t_ms >= from_ms
 
-    history = [(FAULT_NS + driving_from_ms * MS, AsState.AS_DRIVING)]
+    history = [(FAULT_NS - 5_000 * MS, AsState.AS_DRIVING)]
     memory = SimpleNamespace(torque_nm=(0.0, 0.0), brake_pct=(0.0, 0.0))
     certain_ns = {FAULT_NS + ms * MS: FAULT_NS + (ms + 20) * MS for ms in certain_ms}
     wire = SimpleNamespace(cycles=0, ai=AiStatus(), seen=memory, certain_ns=certain_ns)
     truth = SimpleNamespace(speed_mps=5.0, wheel_rpm=(0.0,) * 4)
     car = SimpleNamespace(speed_mps=5.0, truth=lambda: truth)
-    run = SimpleNamespace(judge=SimpleNamespace(ends_in=AsState.AS_FINISHED))
+    run = SimpleNamespace(judge=SimpleNamespace(ends_in=AsState.AS_FINISHED, early_ns=MS if early else None))
     world = SimpleNamespace(vcu=SimpleNamespace(history=history), car=car, run=run)
     command = SimpleNamespace(mission_finished=False, estop_request=False)
     rig: Any = SimpleNamespace(wire=wire, world=world, now_ns=0, computer=SimpleNamespace(commanded=command))
@@ -147,7 +147,7 @@ def test_a_mission_that_was_over_before_asks_for_no_reaction() -> None:
 
 
 def test_a_car_that_moves_before_it_may_is_worse_than_allowed() -> None:
-    verdict = judge(SILENT, observed(**STOPPED, **FINISHED, driving_from_ms=-2500), FAULT_NS, ())
+    verdict = judge(SILENT, observed(**STOPPED, **FINISHED, early=True), FAULT_NS, ())
     assert any("before it may" in fault for fault in verdict.faults)
 
 

@@ -276,7 +276,7 @@ def test_a_signal_that_cannot_be_read_is_named_with_its_file(codec_of: Callable[
 
 def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
     for paths, words in (
-        (["/nowhere/car.dbc"], r"^/nowhere/car\.dbc: no such DBC file$"),
+        ([absent := tmp_path / "absent.dbc"], rf"^{re.escape(str(absent))}: no such DBC file$"),
         ([tmp_path], "cannot be read"),
         ([], "no DBC file"),
     ):

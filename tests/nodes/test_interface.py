@@ -208,7 +208,7 @@ def test_parameters_for_no_node_by_name_are_told_apart(tmp_path: Path) -> None:
         "vcu_bridge:\n  ros__parameters: {revision: x}\n/car1:\n  '*':\n    ros__parameters: {horizon_m: 9.0}\n"
     )
     given = "node --ros-args -p max_speed:=3 -p path_planner:range_max_m:=9 --param /**:noise_level:=1 --params-file"
-    found = Scattered.among([*given.split(), str(file), "--params-file", "/nowhere.yaml"])
+    found = Scattered.among([*given.split(), str(file), "--params-file", str(tmp_path / "absent.yaml")])
     assert found.unnamed == {"max_speed", "noise_level"}
     assert found.of_files == {"laps", "camera.rate", "horizon_m"}
 
@@ -244,14 +244,17 @@ def test_a_revision_given_as_a_number_is_that_revision(rig: RosRig) -> None:
     ("values", "words"),
     [
         ({"can_interface": "nosuch0"}, "no CAN interface 'nosuch0'"),
-        ({"dbc_files": "/nowhere/car.dbc"}, "/nowhere/car.dbc: no such DBC file"),
-        ({"limits": "/nowhere/limits.toml"}, "/nowhere/limits.toml"),
+        ({"dbc_files": "absent/car.dbc"}, "absent/car.dbc: no such DBC file"),
+        ({"limits": "absent/limits.toml"}, "absent/limits.toml"),
         ({"limits": "max_sped_mps=3.0"}, "unknown limit max_sped_mps"),
         ({"wheel_mapping": "fl=fr"}, "wheel mapping"),
         ({"holding_brake_pct": float("nan")}, "holding_brake_pct"),
     ],
 )
-def test_a_bridge_that_cannot_start_says_why(bus: str, values: dict[str, object], words: str) -> None:
+def test_a_bridge_that_cannot_start_says_why(
+    bus: str, values: dict[str, object], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     with RosRig() as rig, pytest.raises(NodeError, match=words):
         rig.start(vcu_bridge.VcuBridge, **{"can_interface": bus, **values})
 

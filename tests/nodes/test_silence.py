@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -195,15 +196,18 @@ def test_emergency_brake_of_the_car_is_an_error_in_the_log(rig: RosRig, bus: str
 
 
 @pytest.mark.parametrize("autostart", [True, False])
-def test_a_failed_transition_says_why_in_every_start_mode(rig: RosRig, bus: str, autostart: bool) -> None:
+def test_a_failed_transition_says_why_in_every_start_mode(
+    rig: RosRig, bus: str, autostart: bool, tmp_path: Path
+) -> None:
     log = rig.log()
     node = rig.start(VcuBridge, can_interface=bus, real_time=False, autostart=autostart)
     if autostart:
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
             assert change(rig, transition)
-    node.set_parameters([Parameter("limits", value="/nowhere/limits.toml")])
+    limits = str(tmp_path / "absent.toml")
+    node.set_parameters([Parameter("limits", value=limits)])
     assert not change(rig, Transition.TRANSITION_CONFIGURE)
-    rig.spin_until(lambda: bool(errors(log, "transition failed", "/nowhere/limits.toml")), "the reason")
+    rig.spin_until(lambda: bool(errors(log, "transition failed", limits)), "the reason")
 
 
 def test_an_unexpected_error_in_a_transition_is_said_too(

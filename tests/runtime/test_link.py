@@ -9,6 +9,7 @@ import select
 import socket
 from collections.abc import Callable, Iterator
 from itertools import product
+from pathlib import Path
 from types import UnionType
 from typing import Any
 
@@ -327,14 +328,14 @@ def test_an_edge_survives_every_datagram_of_its_loop(loop: ThreadedLoop) -> None
     assert loop.running
 
 
-def test_the_loops_process_survives_every_datagram() -> None:
+def test_the_loops_process_survives_every_datagram(tmp_path: Path) -> None:
     handle = start_loop_process("loopback:junk")
     try:
         for lane, datagram in product(handle._link._lanes, junk()):
             put(lane, datagram)
         for strange in (
             LoopSettings("loopback:junk", "1999", "2026"),
-            LoopSettings("loopback:junk", "2026", "2026", dbc_files=("/nowhere",)),
+            LoopSettings("loopback:junk", "2026", "2026", dbc_files=(str(tmp_path / "absent"),)),
             LoopSettings("loopback:junk", "2026", "2026", dbc_files=("x" * 5000,)),
         ):
             with pytest.raises(LoopError):

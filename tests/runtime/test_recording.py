@@ -46,12 +46,11 @@ def test_python_can_reads_back_what_was_written(name: str, tmp_path: Path) -> No
 
 
 def test_an_unwritable_log_is_one_line_with_the_bus_closed(
-    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert main(["record", "-i", "loopback:record", "-o", "/nonexistent/run.log"]) == 1
-    assert capsys.readouterr().err == (
-        "fsai-vcu record: cannot write /nonexistent/run.log: No such file or directory\n"
-    )
+    path = tmp_path / "absent/run.log"
+    assert main(["record", "-i", "loopback:record", "-o", str(path)]) == 1
+    assert capsys.readouterr().err == f"fsai-vcu record: cannot write {path}: No such file or directory\n"
     gc.collect()
     assert "not properly shut down" not in caplog.text
 

@@ -132,9 +132,11 @@ def test_the_car_must_stop_within_100_m_after_the_finish_line(to_m: float, words
 
 @pytest.mark.parametrize(("wait_s", "passes"), [(2.9, False), (3.02, True)])
 def test_the_car_must_not_move_in_the_first_3_s_of_driving(wait_s: float, passes: bool) -> None:
-    verdict = straight(TO_THE_END, wait_s=wait_s).finish()
+    car = straight(TO_THE_END, wait_s=wait_s)
+    verdict = car.finish()
     assert verdict.passed is passes, why(verdict)
     assert passes or "must wait 3 s" in why(verdict)
+    assert (car.judge.early_ns is None) is passes
 
 
 @pytest.mark.parametrize("state", [AsState.AS_OFF, AsState.AS_READY])
@@ -143,11 +145,14 @@ def test_a_car_that_moves_before_driving_fails(state: AsState) -> None:
     car.look(0.2)
     car.state = state
     car.look(0.2)
+    stood_ns = car.t_ns
     car.go(car.pose.x_m + 0.15, 0.0, 0.0, 1.0)
+    moved_ns = car.t_ns
     car.speed_mps = 0.0
     car.start()
     car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
     assert f"moved in {state.label}" in why(car.finish())
+    assert car.judge.early_ns is not None and stood_ns < car.judge.early_ns <= moved_ns
 
 
 def test_a_car_that_rolls_on_in_as_finished_fails() -> None:
@@ -155,6 +160,7 @@ def test_a_car_that_rolls_on_in_as_finished_fails() -> None:
     car.state = AsState.AS_FINISHED
     car.go(75.0 + 22.0, 0.0, 0.0, 1.0)
     assert "moved in AS_FINISHED" in why(car.finish())
+    assert car.judge.early_ns is None
 
 
 # ------------------------------------------------------------ how it ends

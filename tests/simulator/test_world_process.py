@@ -165,10 +165,13 @@ def test_a_held_up_process_lets_the_cars_time_stand_still(monkeypatch: pytest.Mo
         (["-i", "loopback:t", "--timeout", "nan"], "--timeout is nan"),
         (["-i", "loopback:t", "--timeout", "inf"], "--timeout is inf"),
         (["-i", "loopback:t", "--seed", "-1"], "seed is -1"),
-        (["-i", "loopback:t", "--log", "/absent/bus.log"], "/absent/bus.log cannot be written"),
+        (["-i", "loopback:t", "--log", "absent/bus.log"], "absent/bus.log cannot be written"),
     ],
 )
-def test_bad_input_gets_one_clear_line(argv: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_gets_one_clear_line(
+    argv: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     assert run(arguments(*argv)) == 1
     printed = capsys.readouterr().err
     assert words in printed
@@ -176,14 +179,15 @@ def test_bad_input_gets_one_clear_line(argv: list[str], words: str, capsys: pyte
 
 
 def test_a_run_out_of_time_fails_and_is_printed_if_not_saved(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(process, "go_real_time", lambda *_: ())  # every later test would be scheduled so
     monkeypatch.setattr(process, "HELD_UP_NS", 60 * S)
-    argv = ["-i", "loopback:t", "--auto", "--quiet", "--timeout", "0.1", "--json", "--result", "/absent/verdict.json"]
+    path = tmp_path / "absent/verdict.json"
+    argv = ["-i", "loopback:t", "--auto", "--quiet", "--timeout", "0.1", "--json", "--result", str(path)]
     assert run(arguments(*argv)) == 1
     printed = capsys.readouterr()
-    assert "/absent/verdict.json cannot be written" in printed.err
+    assert f"{path} cannot be written" in printed.err
     result = json.loads(printed.out.splitlines()[-1])
     assert (result["result"], result["ended"], result["handshake"]) == ("fail", "the time is up", {"echoes": 0})
 

@@ -9,7 +9,10 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Final
+
+from msgspec.structs import astuple
 
 from fsai_hil.rules.numbers import (
     AS_STATE_KNOWN_NS,
@@ -33,7 +36,7 @@ from fsai_hil.rules.plausible import Plausibility
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.rules.seen import NOBODY, PARTS, Order, Process, Seen, Violation
 from fsai_hil.rules.shown import SHOWN, marks_of
-from fsai_hil.rules.wheels import Belief, Wheels
+from fsai_hil.rules.wheels import Belief, WheelAges, Wheels
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
@@ -185,15 +188,15 @@ class BusView:
         rpm, wheel_ages = self.wheels.saved(now_ns)
         times = *PARTS.times_of(self.seen), *self.shown_ns
         ages = [-1 if t_ns is None else now_ns - t_ns for t_ns in times]
-        return (rpm, *PARTS.others_of(self.seen)), (*ages, *wheel_ages)
+        return (rpm, *PARTS.others_of(self.seen)), (*ages, *astuple(wheel_ages))
 
     def load(self, saved: Saved, now_ns: int) -> None:
         """Put back what was saved."""
-        (rpm, *plain), ages = saved
-        times = [None if age < 0 else now_ns - age for age in ages]
-        self.seen, self.shown_ns = Seen(**PARTS.values(plain, times)), times[len(PARTS.ages) : -4]
+        (rpm, *plain), ages = saved[0], iter(saved[1])  # each part takes its own off them, in the order of `saved`
+        times = (None if age < 0 else now_ns - age for age in ages)
+        self.seen, self.shown_ns = Seen(**PARTS.values(plain, times)), list(islice(times, len(SHOWN)))
         self.was_off, self.cycle_ns, self.toggle = False, None, None
-        self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
+        self.wheels.load(rpm, WheelAges(*ages), now_ns)  # type: ignore[arg-type]
 
     def _forget(self, now_ns: int, data_may_be_lost: bool) -> None:
         """Drop what no rule can ask for any more, so that a search need not tell it apart."""

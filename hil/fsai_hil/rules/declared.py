@@ -48,3 +48,11 @@ def edges_ns(ages: Ages, config: Any = None) -> tuple[int, ...]:
         return age if isinstance(age, int) else sum(getattr(config, name) for name in age.split(" + "))
 
     return (*map(ns, ages.at), *map(ns, ages.gap), *(ns(gap) - CYCLE_NS for gap in ages.gap))
+
+
+def all_edges_ns(made: type[Struct]) -> tuple[tuple[int, ...], ...]:
+    """Return the ages of each time of a value, in the order of its fields.
+
+    Raises ValueError, which names the file to change, if a time has no declaration.
+    """
+    return tuple(edges_ns(note) for note in declared(made).values() if isinstance(note, Ages))

@@ -9,13 +9,11 @@ from typing import Annotated, Any, Final, NamedTuple
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
-from fsai_hil.rules.declared import declared, edges_ns
+from fsai_hil.rules.declared import all_edges_ns, declared
 from fsai_hil.rules.numbers import (
     AS_STATE_KNOWN_NS,
     COMMAND_FRESH_NS,
     COMMAND_LOST_NS,
-    COUNTED_NS,
-    CYCLE_NS,
     FEEDBACK_LOST_NS,
     FEEDBACK_STALE_NS,
     LAUNCH_NS,
@@ -26,15 +24,13 @@ from fsai_hil.rules.numbers import (
     POWER_CYCLE_NS,
     READY_SEEN_NS,
     SEND_LOST_NS,
-    SPEED_JUMP_NS,
-    SPEEDS_FRESH_NS,
     STATUS_FRESH_NS,
     STATUS_LOST_NS,
-    STILL_NS,
     STOP_CYCLES,
     STOP_TIMEOUT_NS,
 )
 from fsai_hil.rules.shown import SHOWN
+from fsai_hil.rules.wheels import WheelAges
 from fsai_vcu.core.ages import Ages, NotSearched
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.values import Value
@@ -151,9 +147,8 @@ class FieldParts:
     def __init__(self, made: type[Any]) -> None:
         """Raises ValueError, which names the file to change, if a time has no declaration."""
         notes = declared(made)
-        times = {name: note for name, note in notes.items() if isinstance(note, Ages)}
+        times = [name for name, note in notes.items() if isinstance(note, Ages)]
         others = [name for name, note in notes.items() if not isinstance(note, (Ages, NotSearched))]
-        self.ages = tuple(times.values())
         self.others_of, self.times_of = attrgetter(*others), attrgetter(*times)
         self._names = (*others, *times)
         defaults = {spec.name: None if spec.default is NODEFAULT else spec.default for spec in fields(made)}
@@ -167,11 +162,8 @@ class FieldParts:
 
 PARTS: Final = FieldParts(Seen)
 EDGES: Final = (
-    *map(edges_ns, PARTS.ages),
+    *all_edges_ns(Seen),
     *(row.edges_ns for row in SHOWN),
-    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
-    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
-    (STILL_NS,),
-    (COUNTED_NS,),
+    *all_edges_ns(WheelAges),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 from enum import Enum, auto
-from typing import Final
+from typing import Annotated, Final
+
+from msgspec import Struct
 
 from fsai_hil.rules.numbers import (
     COUNT_SLACK,
@@ -17,6 +19,7 @@ from fsai_hil.rules.numbers import (
     CYCLE_NS,
     DOUBT_OPEN_TURNS,
     DOUBT_SURE_TURNS,
+    FEEDBACK_LOST_NS,
     FEEDBACK_STALE_NS,
     SPEED_CHANGE_MOST_RPM,
     SPEED_JUMP_NS,
@@ -26,6 +29,7 @@ from fsai_hil.rules.numbers import (
     STILL_RPM,
     TURNING_PULSES,
 )
+from fsai_vcu.core.ages import Ages
 
 Rpm = tuple[int, int, int, int]
 _COUNTS: Final = 1 << 16
@@ -66,6 +70,15 @@ class _Stillness:
         if since_ns is None and self.ended is not None and now_ns - self.ended[0] < in_flight_ns:
             since_ns = self.ended[1]
         return since_ns is not None and (now_ns if slack_ns else until_ns) - since_ns >= STILL_NS - slack_ns
+
+
+class WheelAges(Struct):
+    """The times of `Wheels.saved`, as ages in ns, below 0 for never; each says where it matters to a rule."""
+
+    believed_ns: Annotated[int, Ages(gap=(SPEED_JUMP_NS,))] = -1  # of the last speeds that surely count
+    may_count_ns: Annotated[int, Ages(FEEDBACK_LOST_NS, gap=(SPEEDS_FRESH_NS,))] = -1  # of the last that may count
+    still_ns: Annotated[int, Ages(STILL_NS)] = -1  # for how long the wheels had stood then
+    turning_ns: Annotated[int, Ages(COUNTED_NS)] = -1
 
 
 class Wheels:
@@ -212,26 +225,23 @@ class Wheels:
 
     # ------------------------------------------------------------ as a value
 
-    def saved(self, now_ns: int) -> tuple[Rpm | None, tuple[int, int, int, int]]:
-        """The last speeds, and in ns, below 0 for never: how old they are, the last that may count, for how long the
-        wheels stood until then, and since when none turned. Of the pulse counts that is all.
-        """
+    def saved(self, now_ns: int) -> tuple[Rpm | None, WheelAges]:
+        """The last speeds and the ages. Of the pulse counts `turning_ns` is all."""
         turning_ns = -1 if self.turning_ns is None else now_ns - self.turning_ns
         if turning_ns >= COUNTED_NS:
             turning_ns = -1
         if self.believed_ns is None or self.may_count_ns is None:
-            return None, (-1, -1, -1, turning_ns)
+            return None, WheelAges(turning_ns=turning_ns)
         since_ns, age_ns = self._surely.since_ns, now_ns - self.may_count_ns
         still_ns = -1 if since_ns is None or age_ns >= SPEEDS_FRESH_NS else self.may_count_ns - since_ns
-        return self.rpm, (now_ns - self.believed_ns, age_ns, still_ns, turning_ns)
+        return self.rpm, WheelAges(now_ns - self.believed_ns, age_ns, still_ns, turning_ns)
 
-    def load(self, rpm: Rpm | None, ages: tuple[int, int, int, int], now_ns: int) -> None:
+    def load(self, rpm: Rpm | None, ages: WheelAges, now_ns: int) -> None:
         """Put back what was saved."""
-        believed_ns, age_ns, still_ns, turning_ns = ages
         self.rpm = rpm
-        self.believed_ns = None if believed_ns < 0 else now_ns - believed_ns
-        self.may_count_ns = None if age_ns < 0 else now_ns - age_ns
-        self.turning_ns = None if turning_ns < 0 else now_ns - turning_ns
+        self.believed_ns = None if ages.believed_ns < 0 else now_ns - ages.believed_ns
+        self.may_count_ns = None if ages.may_count_ns < 0 else now_ns - ages.may_count_ns
+        self.turning_ns = None if ages.turning_ns < 0 else now_ns - ages.turning_ns
         for stillness in (self._surely, self._perhaps):
             stillness.newest_ns = self.may_count_ns
-            stillness.since_ns = None if still_ns < 0 else now_ns - age_ns - still_ns
+            stillness.since_ns = None if ages.still_ns < 0 else now_ns - ages.may_count_ns - ages.still_ns

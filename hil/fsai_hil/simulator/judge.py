@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import asdict
 
+from fsai_hil.rules.numbers import LAUNCH_NS
 from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.tracks.layout import (
     ACCELERATION_STOP_M,
@@ -41,7 +42,6 @@ ROUNDING_M: Final = 1e-6
 CONE_PENALTY_S: Final = 2.0
 LINE_HALF_WIDTH_M: Final = 4.0  # a line is crossed within so much of its middle
 RPM_TOLERANCE: Final = 0.95  # a wheel speed asked for counts as reached from here
-WAIT_S: Final = 3.0  # the car must not move so long after it entered AS_DRIVING
 INSPECTION_A_RPM: Final = 200.0
 INSPECTION_A_SPIN_UP_S: Final = 10.0
 INSPECTION_A_SPIN_DOWN_S: Final = 5.0
@@ -507,6 +507,7 @@ class Judge:
         self._states: list[tuple[AsState, int]] = []
         self._reasons: list[str] = []
         self._stay: tuple[float, float, int] | None = None  # where and since when the car must not move
+        self.early_ns: int | None = None  # when it moved before AS_DRIVING, or in the first seconds of it
         self._driving_ns: int | None = None
         self._over_ns: int | None = None  # left AS_DRIVING
         self._stood_ns: int | None = None
@@ -555,14 +556,16 @@ class Judge:
             return
         x_m, y_m, since_ns = self._stay
         since_s = (truth.t_ns - since_ns) / S
-        if state is AsState.AS_DRIVING and since_s >= WAIT_S:
+        if state is AsState.AS_DRIVING and truth.t_ns - since_ns >= LAUNCH_NS:
             self._stay = None
             return
         moved = math.hypot(truth.pose.x_m - x_m, truth.pose.y_m - y_m) > STILL_M
         if moved or (max(truth.wheel_rpm) > STANDING_RPM and since_s > 0.1):
             self._stay = None  # once is enough
+            if self.early_ns is None and self._over_ns is None:
+                self.early_ns = truth.t_ns
             if state is AsState.AS_DRIVING:
-                self._blame(f"moved {since_s:.2f} s after entering AS_DRIVING, must wait {WAIT_S:g} s")
+                self._blame(f"moved {since_s:.2f} s after entering AS_DRIVING, must wait {LAUNCH_NS / S:g} s")
             else:
                 self._blame(f"moved in {state.label}")
 

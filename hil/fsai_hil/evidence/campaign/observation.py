@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from fsai_hil.rules.numbers import LAUNCH_NS
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.units import MS
@@ -31,7 +30,7 @@ class Observation:
     pause_ns: int | None = None  # the first cycle without torque
     idle_ns: int | None = None  # since when there has been no torque, to the end
     braking_ns: int | None = None  # since when the brake that ended the drive was on
-    early_ns: int | None = None  # the car moved before it may
+    early_ns: int | None = None  # the car moved before it may, as the judge of the drive sees it
     rest_ns: int | None = None  # since when it has truly stood, to the end
     certain_ns: Mapping[int, int] = field(default_factory=dict)  # when steering or a wheel was certainly implausible
     speed_mps: float = 0.0  # at the fault
@@ -77,12 +76,11 @@ class Observer:
         if now_ns < self._next_ns:
             return
         self._next_ns = now_ns + LOOK_NS
+        if seen.early_ns is None:
+            seen.early_ns = rig.world.run.judge.early_ns
         truth = rig.world.car.truth()
         if truth.speed_mps > MOVING_MPS or max(truth.wheel_rpm) >= MOVING_RPM:
             seen.rest_ns = None
-            began_ns = seen.entered(AsState.AS_DRIVING, 0)
-            if seen.early_ns is None and (began_ns is None or now_ns < began_ns + LAUNCH_NS):
-                seen.early_ns = now_ns
         elif seen.rest_ns is None:
             seen.rest_ns = now_ns
 

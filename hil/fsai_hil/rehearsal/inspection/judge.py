@@ -2,6 +2,9 @@
 
 It is told what is on the bus, what people and faults do, and what the car makes of it. What it does not see it does
 not call passed.
+
+Its criteria are its own, not those of `rules/`: these hold this project's bridge to safety rules that are stricter than
+the event's, while of another team's program an inspector asks item by item, and each needs what was seen of it.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fsai_hil.rehearsal.inspection.items import BY_SLUG, SILENCES, Item
+from fsai_hil.rules.numbers import LAUNCH_NS
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.profiles import Profile
@@ -45,7 +49,6 @@ from fsai_vcu.interface.units import MS, S
 
 REACTS_NS: Final = 200 * MS  # so long a program may take to follow a change of the AS state
 SAYS_NS: Final = 500 * MS  # and to say so in MISSION_STATUS
-LAUNCH_NS: Final = 3 * S
 CYCLE_SLACK_NS: Final = 10 * MS
 PERIOD_TOLERANCE: Final = 0.1
 JITTER_MS: Final = 15.0
