@@ -54,6 +54,13 @@ def _untimed(line: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in line.items() if name != "wall_s"}
 
 
+def test_a_run_in_which_the_mission_ends_is_seen_to_its_end() -> None:
+    """A second after this fault the car is behind the line and brakes: what follows is AS_FINISHED."""
+    params = {"chance": 3, "size": 1.0}
+    one = Case("steering_sensor_noisy", Ami.ACCELERATION, "2026", 0, Since.DRIVING, 13_400, params)
+    assert run_case(one, SNAPSHOTS)["end"] == "ON"
+
+
 def test_a_run_ends_early_once_nothing_can_happen_any_more() -> None:
     line = run_case(case("emergency_asked"), SNAPSHOTS)
     assert line["verdict"] == "ok" and line["end"] == "ESTOP"

@@ -19,6 +19,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS
 
 AFTERMATH_MS: Final = 4_200  # so long after a fault begins, or ends, all that the rules demand has happened
+FINISHING_MS: Final = 10_000  # … and so long, where the mission's end comes meanwhile, until it is AS_FINISHED
 DRIVING_MS: Final = 1_500  # a car that has torque so long after a fault is over drives on
 DRIVING_ALONG_MS: Final = 3_000  # the same for a fault that lasts
 SETTLED_MS: Final = 1_500  # so long after a run's end it is clear that nothing moves again
@@ -152,7 +153,8 @@ class Scenario:
             from_ns = None if driving_ns is None else driving_ns + SUPERVISED_MS * MS
         if from_ns is None or now_ns < from_ns + self._window_ms * MS:
             return False
-        if now_ns >= end_ns + AFTERMATH_MS * MS:
+        plan = self.rig.computer.plan
+        if now_ns >= end_ns + (FINISHING_MS if plan is not None and plan.finished else AFTERMATH_MS) * MS:
             return True
         clear_ms = DRIVING_MS if self._duration_ms is not None else DRIVING_ALONG_MS
         return now_ns >= end_ns + clear_ms * MS and max(self.rig.wire.seen.torque_nm) > 0.0
