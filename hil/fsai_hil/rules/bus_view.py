@@ -154,7 +154,8 @@ class BusView:
         self.wheels = Wheels(self._pulses_per_rev, self.in_flight_ns, self.slack_ns)
         follows = self._car is not None and self.process is not None and self.process.follows
         self._plausibility = Plausibility(self._car) if follows and self._car is not None else None
-        self.shown_ns: list[int | None] = [None] * len(SHOWN)  # since when AS_DRIVING shows each row of it
+        # Since when AS_DRIVING shows each row of it; or where a row is of a missing message, when one came last.
+        self.shown_ns: list[int | None] = [None] * len(SHOWN)
         self._late: dict[str, deque[tuple[int, Any]]] = {}
         self.toggle: tuple[int, bool] | None = None
         self._ai_silent = False
@@ -221,14 +222,14 @@ class BusView:
             s.front_ns = s.front_ns and now_ns
             s.rear_ns = s.rear_ns and now_ns
         if not driving or (s.stopped and s.latched):
-            s.steer_ns = s.steer_ns and now_ns
             s.complete_ns = s.complete_ns and now_ns
             s.steer_odd_ns = s.wheel_odd_ns = None
-            self.shown_ns = [None] * len(SHOWN)
+            self.shown_ns = [t_ns and now_ns for t_ns in self._only_missing_ns()]
         if s.command_ns is not None and s.driving_ns is not None and not data_may_be_lost and age_ns < CYCLE_NS:
             s.driving_ns = max(s.driving_ns, now_ns - LAUNCH_NS)  # how long it has waited for commands is no matter
         if s.back_ns is not None and not s.reopening:
-            times = s.status_ns, s.steer_ns, self.wheels.may_count_ns
+            missing = (t_ns for row, t_ns in zip(SHOWN, self.shown_ns, strict=True) if row.shows is None)
+            times = s.status_ns, self.wheels.may_count_ns, *missing
             if s.latched or all(t_ns is not None and t_ns >= s.back_ns for t_ns in times):
                 s.back_ns = None  # everything has been received since
         s.echoed = s.echoed and s.zeros == 1
@@ -249,7 +250,7 @@ class BusView:
             s.rear_max_nm, s.rear_ns = image.torque_max_nm, t_ns
             self._note("rear", t_ns, image.torque_max_nm)
         elif isinstance(image, VcuSteer):
-            s.angle_max_deg, s.steer_ns = max(0.0, image.angle_max_deg), t_ns
+            s.angle_max_deg = max(0.0, image.angle_max_deg)
             self._note("angle", t_ns, s.angle_max_deg)
             if self._plausibility is not None:
                 self._plausibility.on_angle(image.angle_deg, t_ns, judges=s.as_state is AsState.AS_DRIVING)
@@ -267,7 +268,11 @@ class BusView:
             self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), t_ns)
         for place, row in enumerate(SHOWN):
             if isinstance(image, row.message):
-                self.shown_ns[place] = (self.shown_ns[place] or t_ns) if row.shows(image) else None
+                self.shown_ns[place] = row.since_ns(self.shown_ns[place], image, t_ns)
+
+    def _only_missing_ns(self) -> list[int | None]:
+        """Since when each row of `SHOWN` is shown, with what may be missing alone: it was received then."""
+        return [t_ns if row.shows is None else None for row, t_ns in zip(SHOWN, self.shown_ns, strict=True)]
 
     def _note(self, name: str, t_ns: int, value: Any, in_flight_ns: int | None = None) -> None:
         """Keep a value and those before it that a sender may have seen last instead."""
@@ -336,7 +341,7 @@ class BusView:
             if state is AsState.AS_DRIVING:
                 s.driving_ns = None if unjudged else t_ns
                 s.stopped, s.alarm = None, None
-                self.shown_ns = [None] * len(SHOWN)
+                self.shown_ns = self._only_missing_ns()
         if state is not AsState.AS_DRIVING:
             if s.alarm is not None and (s.bus_gone or s.reopening):
                 s.latched = True  # what a lost bus did not carry is asked for when it is back

@@ -88,7 +88,10 @@ class Reactions(BusView):
         if s.ended is not None and not self.wheels.may_stand(now_ns):
             self._alarm("the software ends, and the car is not known to stand")
         supervised = now_ns >= launched_ns
-        shown = ((row, self.since_ns(t_ns)) for row, t_ns in zip(SHOWN, self.shown_ns, strict=True))
+        shown = (
+            (row, self.since_ns(t_ns) if row.shows else self.missing_ns(t_ns))
+            for row, t_ns in zip(SHOWN, self.shown_ns, strict=True)
+        )
         for row, lasts_ns in (*((row, row.lasts_ns(self)) for row in GRADED), *shown):
             if supervised or not row.supervised:
                 if lasts_ns >= row.stop_ns:
@@ -207,7 +210,6 @@ ODD: Final = ODD_NS, ODD_LOST_NS
 GRADED: Final = (
     Lasting("0x520 is lost", lambda v: v.missing_ns(v.seen.status_ns), alarm_ns=STATUS_LOST_NS, supervised=False),
     Lasting("wheel speeds missing", lambda v: v.missing_ns(v.wheels.may_count_ns), *STALE),
-    Lasting("steering feedback missing", lambda v: v.missing_ns(v.seen.steer_ns), *STALE),
     Lasting("the steering implausible", lambda v: v.since_ns(v.seen.steer_odd_ns), *ODD),
     Lasting("a wheel implausible", lambda v: v.since_ns(v.seen.wheel_odd_ns), *ODD),
     Lasting("the steering certainly implausible", lambda v: v.certain_since_ns(steering=True), *ODD),

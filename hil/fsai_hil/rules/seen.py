@@ -96,7 +96,6 @@ class Seen(Struct):
     # None: not driving, or since before the log began
     driving_ns: Annotated[int | None, Ages(LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS)] = None
     angle_max_deg: float | None = None
-    steer_ns: Annotated[int | None, Ages(FEEDBACK_STALE_NS, FEEDBACK_LOST_NS)] = None
     front_max_nm: float | None = None
     front_ns: Annotated[int | None, Ages(FEEDBACK_STALE_NS)] = None
     rear_max_nm: float | None = None
