@@ -7,7 +7,7 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import constant_power_nm
 from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, MOTOR_SPEED_MAX_RPM
 
-# Times of the configuration that have another name in the rules; each name there is for a rule of its own.
+# Times and limits of the configuration that have another name in the rules; each name there is for a rule of its own.
 NAMES = {
     "launch_wait_ns": ("LAUNCH_NS",),
     "ready_wait_ns": ("READY_SEEN_NS",),
@@ -22,6 +22,9 @@ NAMES = {
     "implausible_ns": ("ODD_NS",),
     "implausible_lost_ns": ("ODD_LOST_NS",),
     "wheel_jump_ns": ("SPEED_JUMP_NS",),
+    "standstill_rpm": ("STILL_RPM",),
+    "wheel_max_rpm": ("SPEED_MOST_RPM",),
+    "wheel_change_max_rpm": ("SPEED_CHANGE_MOST_RPM",),
 }
 NOT_OF_THE_RULES = {
     "stop_window_ns": "a stop without effect is due by stop_timeout_ns; the core may find it sooner",
@@ -32,7 +35,7 @@ NOT_OF_THE_RULES = {
 def test_the_bridge_has_the_times_of_the_evidence() -> None:
     config = BridgeConfig()
     times = [name for name in config.__struct_fields__ if name.endswith("_ns")]
-    assert {*NAMES, *NOT_OF_THE_RULES} <= {*times}
+    assert {*NAMES, *NOT_OF_THE_RULES} <= {*config.__struct_fields__}
     for name in times:
         for theirs in () if name in NOT_OF_THE_RULES else NAMES.get(name, (name.upper(),)):
             number = getattr(numbers, theirs, getattr(shown, theirs, None))
@@ -45,10 +48,14 @@ def test_the_bridge_has_the_times_of_the_evidence() -> None:
 
 
 def test_the_bridge_has_the_limits_of_the_evidence() -> None:
+    """A limit of the rules has the name of the configuration's, in capitals, or one of `NAMES`."""
     config = BridgeConfig()
-    assert (config.stop_cycles, config.standstill_rpm) == (numbers.STOP_CYCLES, numbers.STILL_RPM)
-    assert config.wheel_max_rpm == numbers.SPEED_MOST_RPM
-    assert config.wheel_change_max_rpm == numbers.SPEED_CHANGE_MOST_RPM
+    limits = [name for name in config.__struct_fields__ if not name.endswith("_ns")]
+    pairs = [(name, theirs) for name in limits for theirs in NAMES.get(name, (name.upper(),))]
+    compared = [(name, theirs) for name, theirs in pairs if hasattr(numbers, theirs) or hasattr(shown, theirs)]
+    for name, theirs in compared:
+        assert getattr(config, name) == getattr(numbers, theirs, getattr(shown, theirs, None)), (name, theirs)
+    assert {"stop_cycles", "standstill_rpm", "wheel_max_rpm", "wheel_change_max_rpm"} <= {name for name, _ in compared}
     assert numbers.DOUBT_OPEN_TURNS < config.wheel_doubt_turns < numbers.DOUBT_SURE_TURNS
 
 
