@@ -24,7 +24,7 @@ def test_a_stage_is_passed_failed_or_not_tried(tmp_path: Path, name: str, status
     stage = runpy.run_path(str(CHECKOUT / "scripts/test"))["Stage"]
     log = tmp_path / "rehearsal.log"
     log.write_text("installed\nudev not installed\n\n")
-    assert stage(name, 0, log, status=status).verdict == verdict
+    assert stage(name, log, status=status).verdict == verdict
 
 
 def test_services_are_not_rehearsed_without_systemd(
@@ -49,7 +49,7 @@ def test_a_failed_stage_is_the_failure_of_all(monkeypatch: pytest.MonkeyPatch, t
             "STAGES": stages,
             "BIN": tmp_path,
             "LOGS": tmp_path,
-            "LANES": ((0, ("lint", "types")),),
+            "LANES": (("lint", "types"),),
             "SOURCES": (),
         }
         for name, value in known.items():
