@@ -59,6 +59,7 @@ LONGEST_STEP_S = 0.1  # between two commands; a longer one counts as this
 TAKEN_BACK = 0.02  # of the pace at once: trouble, and no slow change
 BEYOND_GRIP_MPS2 = 1.2  # braked with where the path asks for all the grip that there is, or more
 GRIP_MPS2 = 7.5  # sideways, believed of the tyres on a path that follows no map
+TURNS_IN = 1.1  # times its path's bend: a car that brakes turns in more, and that takes of its brakes
 LEFT_FOR_SURPRISES = 1.05  # times the grip planned with: what throttle and brake share with the corner as it is driven
 LEAST_BRAKE = 0.005  # the request's resolution: the brake makes its own least of it
 
@@ -359,7 +360,7 @@ class Controller:
             np.abs(line.curvature_1pm[(line.along_m >= here) & (line.along_m <= here + share * sight_m)])
             for share in (0.5, 1.0)
         ]
-        self._bend_1pm = max(float(bend.mean()) if len(bend) else 0.0 for bend in bends)
+        self._bend_1pm = TURNS_IN * max(float(bend.mean()) if len(bend) else 0.0 for bend in bends)
         by_sight = self._sight.ceiling(braking, settings.reaction_s, self._bend_1pm, now_m, speed, at_m)
         if by_sight.max() <= FEEL_ITS_WAY_MPS**2:
             self._seen_until_m = math.inf
@@ -476,7 +477,7 @@ class Controller:
         """
         planned_mps2, most_mps2 = self._settings.sight_braking_mps2, self._settings.sight_braking_max_mps2
         spare = braking_share(speed * speed * self._bend_1pm / planned_mps2)
-        grip_mps2 = planned_mps2 + 0.5 * spare * (most_mps2 - planned_mps2)
+        grip_mps2 = planned_mps2 + 0.5 * spare * max(most_mps2 - planned_mps2, 0.0)
         left_m = max(sight_m - speed * self._settings.reaction_s, 0.0)
         slow_mps = min(speed, FEEL_ITS_WAY_MPS)
         stop_m = stopping_m(speed * speed, self._bend_1pm, grip_mps2)

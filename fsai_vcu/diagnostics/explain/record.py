@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import chain, repeat
 from typing import Final, NamedTuple, overload
 
@@ -41,7 +41,6 @@ GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
-_own_databases: Final = cache(load_databases)
 _AT_ONCE: Final = 1000  # spans
 _ENOUGH_OF_AI: Final = 250  # frames: half a second
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
@@ -275,7 +274,7 @@ class Record:
         self.begin_ns, self.end_ns = int(straight[0]), int(straight[-1])
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
-        self.decoder = Decoder(databases or _own_databases(revision=self.revision.name))
+        self.decoder = Decoder(databases or load_databases(revision=self.revision.name))
         self.wrong_length: dict[int, WrongLengths] = {}
         self.unknown_ids: Counter[int] = Counter()
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout

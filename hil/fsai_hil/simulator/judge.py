@@ -507,7 +507,7 @@ class Judge:
         self._states: list[tuple[AsState, int]] = []
         self._reasons: list[str] = []
         self._stay: tuple[float, float, int] | None = None  # where and since when the car must not move
-        self.early_ns: int | None = None  # when it moved before AS_DRIVING, or in the first seconds of it
+        self.early_ns: int | None = None  # when it moved before or soon after AS_DRIVING began; none in EMERGENCY_BRAKE
         self._driving_ns: int | None = None
         self._over_ns: int | None = None  # left AS_DRIVING
         self._stood_ns: int | None = None
