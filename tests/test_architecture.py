@@ -291,7 +291,7 @@ def test_no_test_name_is_defined_twice_in_a_file() -> None:
 
 
 def test_no_test_counts_on_a_path_that_a_machine_lacks() -> None:
-    """Somebody may have made it: a path under `tmp_path` is surely not there."""
+    """A machine may have it, so what must be absent is a path under `tmp_path`."""
     absent = re.compile(r"(?<![\w}/.])/(?:absent|nowhere|nonexist[ae]nt|missing|gone)\b")
     tests = CHECKOUT / "tests"
     found = [

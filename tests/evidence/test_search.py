@@ -123,7 +123,7 @@ class Later(SupervisorState, frozen=True):
 
 
 class Slid(WheelAges):
-    """What an observer keeps of the wheels with a new time in it."""
+    """The ages of the wheels, and a new time that does not say where it matters."""
 
     sliding_ns: int = -1
 

@@ -647,7 +647,7 @@ def test_what_a_message_shows_ends_the_run_in_its_time(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(("cycles", "broken"), [(28, []), (29, ["reactions"])])
 def test_after_a_lost_bus_a_message_is_missing_from_then_on(cycles: int, broken: list[str]) -> None:
-    """What could not be received for 400 ms is due 300 ms after the bus is back, whatever else comes then."""
+    """A message that the lost bus kept back for 400 ms is due 300 ms after its return, whatever else comes then."""
     sender = moving.happens_now("on_bus_lost")()
     sender.now_ns += 400 * MS
     sender.happens_now("on_bus_back").has(mute=(VcuSteer,)).cycle(RUNNING).cycle(STOPPING, cycles)

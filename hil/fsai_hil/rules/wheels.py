@@ -75,7 +75,7 @@ class _Stillness:
 class WheelAges(Struct):
     """The times of `Wheels.saved`, as ages in ns, below 0 for never; each says where it matters to a rule."""
 
-    believed_ns: Annotated[int, Ages(gap=(SPEED_JUMP_NS,))] = -1  # of the last speeds that surely count
+    believed_ns: Annotated[int, Ages(gap=(SPEED_JUMP_NS,))] = -1  # of the last speeds that certainly count
     may_count_ns: Annotated[int, Ages(FEEDBACK_LOST_NS, gap=(SPEEDS_FRESH_NS,))] = -1  # of the last that may count
     still_ns: Annotated[int, Ages(STILL_NS)] = -1  # for how long the wheels had stood then
     turning_ns: Annotated[int, Ages(COUNTED_NS)] = -1
