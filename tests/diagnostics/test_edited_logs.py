@@ -47,6 +47,13 @@ def test_an_edit_that_says_something_else_is_not_called_right() -> None:
     assert told(replace(edit, named=("",))).grade == "wrong"
 
 
+def test_no_log_is_called_ok_that_breaks_a_rule() -> None:
+    batches = next(edit for edit in EDITS if edit.name == "an adapter's batches")
+    assert not told(batches).falsely_green
+    assert told(replace(batches, breaks=())).falsely_green
+    assert told(replace(batches, breaks=("9", "interval"))).falsely_green
+
+
 def test_names_of_edits_are_different() -> None:
     assert len({edit.name for edit in EDITS}) == len(EDITS) >= 40
 

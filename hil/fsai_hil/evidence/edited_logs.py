@@ -44,13 +44,16 @@ from fsai_hil.evidence.edits import (
     turned_away,
     whole,
 )
+from fsai_hil.rules.checker import checker_for, on_wire
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Incident
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.verdict.judging import judged
 from fsai_vcu.diagnostics.verdict.verdict import Verdict
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, EbsState, MissionStatus, OpState, ShutdownCause, TsState
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.values import Value
 
 OK: Final = ""
@@ -69,6 +72,7 @@ class Edit(Value, frozen=True):
     """One edited log. named: what has to be named as a first cause or a problem (any of them); OK: nothing is wrong.
 
     cites: a part of a sentence that has to be among the evidence, or in the finding. also: what may be named besides.
+    breaks: rules that hold for this project's process alone: another AI computer may break them, and the car bears it.
     """
 
     name: str
@@ -76,6 +80,7 @@ class Edit(Value, frozen=True):
     named: tuple[str, ...] = (OK,)
     cites: str = ""
     also: tuple[str, ...] = ()
+    breaks: tuple[str, ...] = ()
     run: str = A
 
     def frames(self) -> Frames:
@@ -110,17 +115,18 @@ EDITS: Final = (
     _one("as it was"),
     _one("the bends of an autocross", run="bends"),
     _one("a car of 2021", run="acceleration 2021"),
-    _one("an AI computer that sends in another order", ordered((0x514, 0x513, 0x512, 0x511, 0x510))),
+    _one("an AI computer that sends in another order", ordered((0x514, 0x513, 0x512, 0x511, 0x510)), breaks=("1", "2")),
     _one("an AI computer that spreads its messages", ordered(AI_IDS, apart_us=1700)),
     _one(
         "an AI computer that answers one cycle late",
         put(sig.HANDSHAKE, lambda values, seconds: seconds // 0.02 % 2),
         echo("late"),
         cites="one 0x520 late",
+        breaks=("9",),
     ),
     _one("a car without fault bits", BARE),
     _one("a log without the remote's and other devices' messages", gone((0x181, 0x500, 0x502))),
-    _one("an adapter's batches", batched(10)),
+    _one("an adapter's batches", batched(10), breaks=("interval",)),
     _one("a log from AS_DRIVING on", only(driving(1.0), whole(-0.1))),
     _one("a log up to the drive", only(BEGIN, driving(5.0))),
     _one(
@@ -130,7 +136,7 @@ EDITS: Final = (
     _one("two runs, and the AI computer goes on", again(5.0, ai_goes_on=True), cites="switched off and on"),
     _one("two runs with a long night between them", again(600.0), cites="switched off and on"),
     _one("two runs of a car without fault bits", BARE, again(20.0), cites="switched off and on"),
-    _one("an AI computer with a jitter of 3 ms", paced(10.0, 3.0)),
+    _one("an AI computer with a jitter of 3 ms", paced(10.0, 3.0), breaks=("interval",)),
     _one("an AI computer of its own period and phase", paced(9.6)),
     # ---- other things that are no cause of a stop
     _one("an AI computer that sends every 20 ms", paced(20.0), named="period", also=("handshake",)),
@@ -644,7 +650,10 @@ EDITS: Final = (
 
 
 class Told(Value, frozen=True):
-    """The judgement of an edited log beside what was expected of it."""
+    """The judgement of an edited log beside what was expected of it.
+
+    falsely_green: it is called OK, and something is wrong, or a rule is broken that the edit does not name.
+    """
 
     edit: str
     grade: str  # right, partly (and something else), wrong
@@ -674,14 +683,23 @@ def sentences(verdict: Verdict) -> list[str]:
 
 
 def told(edit: Edit) -> Told:
-    """Judge an edited log."""
-    verdict = judged(edit.frames(), good_run(edit.run).run.revision.name).verdict
+    """Judge an edited log; one that is called OK is judged by the checker of the rules as well."""
+    frames, name = edit.frames(), good_run(edit.run).run.revision.name
+    verdict = judged(frames, name).verdict
     named = said(verdict) or (OK,)
     cited = not edit.cites or any(edit.cites in words for words in sentences(verdict))
     hit = bool(set(named) & set(edit.named)) and cited
     clean = {*named} <= {*edit.named, *edit.also}
     grade = "right" if hit and clean else "partly" if hit or set(named) & set(edit.named) else "wrong"
-    return Told(edit.name, grade, verdict.ok and OK not in edit.named, named, edit.named)
+    green = verdict.ok and (OK not in edit.named or rules_broken(frames, name) != {*edit.breaks})
+    return Told(edit.name, grade, green, named, edit.named)
+
+
+def rules_broken(frames: Frames, revision_name: str) -> set[str]:
+    """Return the rules that the checker finds broken on the wire of a log."""
+    checker = checker_for(Codec(revision(revision_name)), busy_machine=False)
+    checker.on_frames(on_wire(frames.frame(row)) for row in range(len(frames)))
+    return {violation.rule for _, violation in checker.found}
 
 
 def told_at(row: int) -> Told:

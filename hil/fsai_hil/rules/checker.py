@@ -20,6 +20,7 @@ from fsai_hil.rules.frame_rules import CHECKS, RULES
 from fsai_hil.rules.numbers import CAR_PATIENCE_NS, MS, S
 from fsai_hil.rules.reactions import Reactions
 from fsai_hil.rules.seen import Violation
+from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.codec import Codec, Decoded
@@ -278,11 +279,14 @@ class WireChecker(Reactions):
 def read_candump(path: Path | str) -> Iterator[Frame]:
     """The frames of a log, with their times in nanoseconds. Raises LogError, also for what cannot be read of it."""
     with open_log(path) as log:
-        for one in log.frames():
-            flags = {"extended": one.extended, "remote": one.remote, "error": one.error}
-            yield Frame(one.can_id, one.data, one.t_ns, **flags)
+        yield from map(on_wire, log.frames())
         if log.problems:
             raise LogError(log.problems.summary())
+
+
+def on_wire(one: LogFrame) -> Frame:
+    """A frame of a log as it was on the bus."""
+    return Frame(one.can_id, one.data, one.t_ns, extended=one.extended, remote=one.remote, error=one.error)
 
 
 def check_candump(path: Path | str, codec: Codec, *, busy_machine: bool = False) -> WireChecker:
