@@ -200,6 +200,23 @@ def test_a_car_askew_in_a_bend_gains_no_speed() -> None:
     assert ask(plan_of(along), speed_mps=2.6).throttle > 0.5
 
 
+def test_a_slow_car_gains_no_speed_until_its_steering_has_turned() -> None:
+    """A car that stopped with its wheels turned one way, and whose path leads the other way."""
+    controller = reset_for(RUN)
+    held(plan_of(arc(3.5)), controller)
+    right = plan_of(arc(3.5) * (1.0, -1.0))
+    commands = [
+        ask(replace(right, t_sensor_ns=now), 0.5, controller, now_ns=now)
+        for now in range(1000 * MS, 4000 * MS, 20 * MS)
+    ]
+    steering = np.array([command.steering_rad for command in commands])
+    throttle = np.array([command.throttle for command in commands])
+    turning = steering > 0.8 * steering[-1]  # to the right is below 0
+    assert steering[0] > 0.2 and 40 < turning.sum() < 80
+    assert (throttle[10:][turning[10:]] < 0.15).all(), "but for the 0.2 s in which it is taken back"
+    assert throttle[-1] > 0.5
+
+
 def test_near_the_speed_that_is_set_the_throttle_only_holds_it() -> None:
     near, at = (ask(plan_of(STRAIGHT), mps, reset_for(RUN, CAR, HELD)) for mps in (HELD.lap_max_speed_mps - 0.1, 7.0))
     assert 0.0 < near.throttle < 0.15 and at.throttle == 0.0

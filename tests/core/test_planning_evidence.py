@@ -233,6 +233,26 @@ def test_a_lost_car_drives_on_from_rest_when_it_sees_its_way(speed: float, cours
     assert (not notes[-1].startswith("lost")) is again
 
 
+def test_looks_at_rest_vouch_little_for_the_way_once_the_car_drives_again() -> None:
+    """They are all of one place: a doubt on the way on counts sooner than after looks from everywhere."""
+
+    def driven_m(evidence: Evidence, there: Motion) -> float:
+        """The way driven in doubt."""
+        for motion in looks(2.0, there):
+            if evidence.judged(UNSURE, motion).note.startswith("lost"):
+                break
+        return motion.distance_m - there.distance_m
+
+    again, at_rest = lost()
+    for there in looks(0.0, at_rest):
+        if not again.judged(SURE, there).note.startswith("lost"):
+            break
+    never = Evidence()
+    for begin, _ in zip(looks(2.0), range(400), strict=False):
+        never.judged(SURE, begin)
+    assert driven_m(again, there) < driven_m(never, begin) - 0.2
+
+
 def test_a_lost_car_waits_for_two_seconds_without_a_doubt() -> None:
     evidence, there = lost()
     for motion, count in zip(looks(0.0, there), range(200), strict=False):

@@ -48,7 +48,7 @@ ASIDE_MAX_M = 4.0  # a path further beside the car …
 AHEAD_MAX_M = 6.0  # … or that begins further ahead of it is not one from where it is
 # A car that turns so much and moves so far off its path's direction gains no speed beyond this: on its way out of a
 # hairpin, where the steering was at its end, the steering needs all its rate to get back.
-ASKEW_1PM, ASKEW_RAD, ASKEW_MPS = 0.2, 0.07, 2.5
+ASKEW_1PM, ASKEW_RAD, ASKEW_MPS = 0.2, 0.07, 2.5  # a slower one gains none while its steering turns at its full rate
 FEEL_ITS_WAY_MPS = 1.5  # so slow it drives on where hardly any path is borne out
 IN_DOUBT_MPS2 = 0.7  # at once less than what the brake is used for
 PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
@@ -296,7 +296,8 @@ class Controller:
             self._planned = None  # the next cycle's profile is of the new pace
         self._pace = pace
         curvature = math.tan(self._steered[-1][1]) / self._car.wheelbase_m
-        self._steer(curvature, steering_rate(line, station, left, course, curvature, speed), now_ns)
+        rate_1pms = steering_rate(line, station, left, course, curvature, speed)
+        self._steer(curvature, rate_1pms, now_ns)
         if self._ending_since_ns is not None:
             return 0.0, self._end_brake(speed)
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
@@ -305,7 +306,9 @@ class Controller:
         if age_s > settings.plan_old_s:
             self._note = f"the plan is {age_s:.1f} s old"
         askew = math.remainder(course - float(np.interp(station, line.along_m, line.heading_rad)), 2.0 * math.pi)
-        late = not plan.mapped and abs(curvature) > ASKEW_1PM and abs(askew) > ASKEW_RAD and speed > ASKEW_MPS
+        late = not plan.mapped and abs(curvature) > ASKEW_1PM and abs(askew) > ASKEW_RAD
+        if speed <= ASKEW_MPS:
+            late = abs(rate_1pms) * self._car.wheelbase_m > self._car.steer_rate_radps
         throttle, brake = self._accelerate(line, station - travel, motion, late, now_ns)
         if age_s > settings.plan_lost_s:
             return 0.0, max(brake, settings.gentle_brake)

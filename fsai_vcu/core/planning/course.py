@@ -30,7 +30,7 @@ NEWEST_AGAINST, NEWEST_FOR = 0.2, 0.07
 DOUBTED_M, DOUBTED_S = 1.0, 0.15  # of way, and of time, that may be driven under the floor
 FLOOR_AGAIN = 0.5  # with more a look bears its way out
 # A lost car that stands drives on with so much, if it lasts: from one place each look shows the same, right or wrong.
-SURE_AGAIN, AT_REST_MPS, AGAIN_NS = 0.75, 0.1, 2 * S
+SURE_AGAIN, AT_REST_MPS, AGAIN_NS = 0.8, 0.1, 2 * S
 SLOWLY_M = 4.0  # of way borne out at most, below that confidence
 KEPT_M, KEPT_POINTS = 3.0, 5  # of way, that a path is driven on while looks are in doubt; of a path, at least
 STUCK_M = 0.5  # beside its path in a bend tighter than it can turn, a car only gets further off: it is lost at once
@@ -193,7 +193,7 @@ class Evidence:
             self._clear_ns = motion.t_ns
         clear = self._clear_ns is not None and motion.t_ns - self._clear_ns >= AGAIN_NS
         if clear:
-            self._doubted_m = 0.0
+            self._sure, self._doubted_m = FLOOR_AGAIN, 0.0  # many looks from one place vouch for no more
         return clear
 
     def _kept(self, course: Course, motion: Motion) -> Course:
