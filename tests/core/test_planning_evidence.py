@@ -233,7 +233,7 @@ def test_a_lost_car_drives_on_from_rest_when_it_sees_its_way(speed: float, cours
     assert (not notes[-1].startswith("lost")) is again
 
 
-def test_looks_at_rest_vouch_little_for_the_way_once_the_car_drives_again() -> None:
+def test_looks_at_rest_vouch_little_for_the_way_after_them() -> None:
     """They are all of one place: a doubt on the way on counts sooner than after looks from everywhere."""
 
     def driven_m(evidence: Evidence, there: Motion) -> float:
