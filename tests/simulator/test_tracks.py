@@ -348,8 +348,8 @@ def test_a_track_of_pacsim_and_of_fssim_is_read(layout: Callable[[Track], object
         ("a: [", "not valid YAML"),
         ("- 1", "neither YAML of PacSim"),
         ("", "neither YAML of PacSim"),
-        ("track: {left: [{class: blue}]}", "not laid out as YAML of PacSim is: KeyError('position')"),
-        ("cones_left: [[1]]", "not laid out as YAML of fssim is"),
+        ("track: {left: [{class: blue}]}", "bad.yaml: left 1: has no position"),
+        ("cones_left: [[1]]", "bad.yaml: cones_left 1 is [1], not a list of 2 numbers"),
         ("cones_left: [[1, up]]", "cones_left 1: y is 'up', not a number"),
     ],
 )

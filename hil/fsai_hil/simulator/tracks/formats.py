@@ -60,32 +60,40 @@ def _pacsim_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """PacSim: cones by side with their class, the pose of the centre of gravity, and the posts of the timing."""
     track = found["track"]
     for side in ("left", "right", "unknown"):
-        for number, cone in enumerate(track.get(side) or (), 1):
+        for number, cone in enumerate(_list_in(track, side, f"{source}: track"), 1):
             at = f"{source}: {side} {number}"
-            if not isinstance(cone["class"], str):
-                raise TrackError(f"{at}: class is {shown(cone['class'])}, not a text")
-            yield at, cone["class"], [cone["position"][0], cone["position"][1]]
-    for number, post in enumerate(track.get("time_keeping") or (), 1):
-        yield f"{source}: time_keeping {number}", "timekeeping", [post["position"][0], post["position"][1]]
+            tag = _entry(cone, "class", at)
+            if not isinstance(tag, str):
+                raise TrackError(f"{at}: class is {shown(tag)}, not a text")
+            yield at, tag, _numbers(_entry(cone, "position", at), 2, f"{at}: position")
+    for number, post in enumerate(_list_in(track, "time_keeping", f"{source}: track"), 1):
+        at = f"{source}: time_keeping {number}"
+        yield at, "timekeeping", _numbers(_entry(post, "position", at), 2, f"{at}: position")
     if start := track.get("start"):
-        pose = [start["position"][0], start["position"][1], start["orientation"][2]]
-        yield _staged(pose, COG_M, f"{source}: start")
+        at = f"{source}: start"
+        place, turn = (
+            _numbers(_entry(start, name, at), count, f"{at}: {name}")
+            for name, count in (("position", 2), ("orientation", 3))
+        )
+        yield _staged([*place, turn[2]], COG_M, at)
 
 
 def _fssim_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """fssim: lists of points by colour, and a pose of the front wing or of the centre of gravity."""
     for name, tag in FSSIM_LISTS.items():
-        for number, point in enumerate(found.get(name) or (), 1):
-            yield f"{source}: {name} {number}", tag, [point[0], point[1]]
+        for number, point in enumerate(_list_in(found, name, source), 1):
+            at = f"{source}: {name} {number}"
+            yield at, tag, _numbers(point, 2, at)
     for name, ahead_m in FSSIM_STARTS.items():
         if pose := found.get(name):
-            yield _staged(pose, ahead_m, f"{source}: {name}")
+            at = f"{source}: {name}"
+            yield _staged(_numbers(pose, 3, at), ahead_m, at)
             return
 
 
 def _layout_merchant_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """layout-merchant: columns of cones with the number of their colour; start and timing line, angles in degrees."""
-    columns = [found[name] for name in ("x", "y", "color")]
+    columns = [_list_in(found, name, source) for name in ("x", "y", "color")]
     if len({len(column) for column in columns}) > 1:
         raise TrackError(f"{source}: x, y and color have {', '.join(str(len(column)) for column in columns)} entries")
     for number, (x, y, color) in enumerate(zip(*columns, strict=True), 1):
@@ -104,9 +112,10 @@ def _layout_merchant_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row
 
 def _turned(found: Mapping[Any, Any], name: str, source: str) -> tuple[float, float, float]:
     """x, y and the direction in rad of what a file has as a position, and an orientation in degrees."""
-    given = [*found[f"{name}_position"][:2], found.get(f"{name}_orientation", 0.0)]
-    x, y, deg = (number_of(given, i, what, f"{source}: {name}") for i, what in enumerate(("x", "y", "orientation")))
-    return x, y, math.radians(deg)
+    at = f"{source}: {name}"
+    given = [*_numbers(found[f"{name}_position"], 2, f"{at}: position"), found.get(f"{name}_orientation", 0.0)]
+    x, y, deg = (number_of(given, i, what, at) for i, what in enumerate(("x", "y", "orientation")))
+    return x, y, math.radians(math.remainder(deg, 360.0))
 
 
 def _starkstrom_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
@@ -119,10 +128,11 @@ def _starkstrom_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     beside = path.with_name(path.name.replace(BOUNDARIES, CONE_MAP))
     cones = _beside(beside, source)
     for side, tag in (("left", "blue"), ("right", "yellow")):
-        for number in found[side] or ():
-            if number not in cones:
+        for number in _list_in(found, side, source):
+            if type(number) is not int or number not in cones:
                 raise TrackError(f"{source}: {side}: cone {shown(number)} is not in {beside.name}")
-            yield f"{beside}: {number}", tag, [cones[number][0], cones[number][1]]
+            at = f"{beside}: {number}"
+            yield at, tag, _numbers(cones[number], 2, at)
 
 
 def _starkstrom_map_rows(_: Mapping[Any, Any], source: str) -> Iterator[Row]:
@@ -220,7 +230,10 @@ def _yaml_of(text: str, source: str) -> Any:
         finally:
             loader.dispose()
     except yaml.YAMLError as error:
-        raise TrackError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from None
+        mark, *words = (getattr(error, name, None) for name in ("problem_mark", "context", "problem"))
+        at = f"{source}: line {mark.line + 1}" if mark is not None else source
+        why = " ".join(filter(None, words)) or str(error)
+        raise TrackError(f"{at}: not valid YAML: {' '.join(why.split())}") from None
     except TrackError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError) as error:  # of a value that its tag does not fit
@@ -303,4 +316,30 @@ def number_of(values: Sequence[Any], column: int, name: str, at: str) -> float:
 
 def shown(value: object) -> str:
     """A value from a file, cut to a length that a message can have."""
-    return reprlib.repr(value)
+    return "nothing" if value is None else reprlib.repr(value)
+
+
+def _entry(found: object, key: str, at: str) -> Any:
+    """What a mapping has under a key; raises TrackError."""
+    if not isinstance(found, Mapping):
+        raise TrackError(f"{at} is {shown(found)}, not a mapping")
+    if key not in found:
+        raise TrackError(f"{at}: has no {key}")
+    return found[key]
+
+
+def _list_in(found: object, key: str, at: str) -> Sequence[Any]:
+    """The list that a mapping has under a key, an empty one where there is none; raises TrackError."""
+    if not isinstance(found, Mapping):
+        raise TrackError(f"{at} is {shown(found)}, not a mapping")
+    given = found.get(key)
+    if given is not None and not isinstance(given, list):
+        raise TrackError(f"{at}: {key} is {shown(given)}, not a list")
+    return given or ()
+
+
+def _numbers(given: object, count: int, at: str) -> Sequence[Any]:
+    """The first so many entries of a list; raises TrackError where it has fewer."""
+    if not isinstance(given, list) or len(given) < count:
+        raise TrackError(f"{at} is {shown(given)}, not a list of {count} numbers")
+    return given[:count]
