@@ -34,7 +34,7 @@ FSSIM_LISTS: Final = {
 FSSIM_STARTS: Final = {"starting_pose_front_wing": NOSE_M, "starting_pose_cg": COG_M}  # ahead of the rear axle, m
 LAYOUT_MERCHANT_COLORS: Final = ("unknown", "yellow", "blue", "orange", "big_orange")
 BOUNDARIES, CONE_MAP = "boundaries", "cone_map"  # in the names of StarkStrom's two files of a track
-FIRST_TAGS: Final = ("blue", "yellow", "orange", "big_orange", "unknown")  # that a table without a header begins with
+FIRST_TAGS: Final = ("blue", "yellow", "orange", "big_orange", "unknown", "car_start")  # first of a table, no header
 
 Row = tuple[str, str, Sequence[Any]]
 Told = Callable[[str], None]  # takes what a person should know of the file
@@ -46,7 +46,6 @@ class Format:
 
     name: str
     header: tuple[str, ...] = ()
-    columns: tuple[int, ...] = ()  # of a table's row that hold x, y and perhaps the direction
     keys: tuple[str, ...] = ()
     rows: Callable[[Mapping[Any, Any], str], Iterator[Row]] | None = (
         None  # of a mapping and what messages call the file
@@ -164,10 +163,10 @@ def _staged(pose: Sequence[Any], ahead_m: float, at: str) -> Row:
 
 # ---------------------------------------------------------------- the table
 
-EUFS: Final = Format("CSV of EUFS and FSDS", header=("tag", "x", "y"), columns=(1, 2, 3))
+EUFS: Final = Format("CSV of EUFS and FSDS", header=("tag", "x", "y"))
 FORMATS: Final = (
     EUFS,
-    Format("CSV of EPFL", header=("cone_type", "x", "y"), columns=(1, 2)),
+    Format("CSV of EPFL", header=("cone_type", "x", "y")),
     Format("YAML of PacSim", keys=("track",), rows=_pacsim_rows),
     Format("YAML of fssim", keys=("cones_left",), rows=_fssim_rows),
     Format("JSON of layout-merchant", keys=("x", "y", "color"), rows=_layout_merchant_rows),
@@ -264,30 +263,34 @@ def _table_rows(text: str, source: str, told: Told) -> Iterator[Row]:
     """Yield the rows of a table, by the format that its header names or its columns show."""
     reader = csv.reader(text.splitlines())
     form: Format | None = None
+    columns: tuple[int, ...] = (1, 2, 3)  # that hold x, y and perhaps the direction
+    at, first = f"{source}: line 1", "nothing"
     for row in _whole_rows(reader, source):
-        if not any(column.strip() for column in row):
+        names = [column.strip().lower() for column in row]
+        if not any(names) or names[0].startswith("#"):
             continue
-        head = tuple(column.strip() for column in row[:3])
         at = f"{source}: line {reader.line_num}"
-        header = tuple(column.lower() for column in head)
-        if (named := next((each for each in FORMATS if each.header and each.header == header), None)) is not None:
+        named = next((each for each in FORMATS if each.header and each.header == tuple(names[:3])), None)
+        if named is not None:
             if form is not None:
                 told(f"line {reader.line_num} is a second header: what follows it is taken as part of the same track")
             form = named
+            columns = (1, 2, names.index("direction")) if "direction" in names else (1, 2)
             continue
         if form is None:
-            if reader.line_num > 1 or head[0] not in FIRST_TAGS:  # FSDS's has no header
+            if names[0] not in FIRST_TAGS:  # FSDS's has no header
+                first = repr(text.splitlines()[reader.line_num - 1][:60])
                 break
             form = EUFS
         if len(row) < 3:
-            raise TrackError(f"{at}: {len(row)} columns where at least {', '.join(form.header)} are needed")
-        yield at, head[0], [row[column] for column in form.columns if column < len(row)]
+            count = f"{len(row)} column{'s' * (len(row) > 1)}"
+            raise TrackError(f"{at}: {count} where at least {', '.join(form.header)} are needed")
+        yield at, row[0].strip(), [row[column] for column in columns if column < len(row)]
     else:
         if form is not None:
             return
-    found = repr(text.splitlines()[0][:60]) if text.strip() else "nothing"
     known = " or ".join(f"{','.join(each.header)} ({each.name})" for each in FORMATS if each.header)
-    raise TrackError(f"{source}: line 1: the header must begin with {known} but is {found}")
+    raise TrackError(f"{at}: the header must begin with {known} but is {first}")
 
 
 def _whole_rows(reader: Any, source: str) -> Iterator[list[str]]:
