@@ -114,7 +114,7 @@ def _words(facts: Mapping[str, Any]) -> Iterator[str]:
     yield _title(facts)
     yield f"cones: {', '.join(f'{count} {color}' for color, count in facts['cones'].items()) or 'none'}"
     if line := facts["start_line"]:
-        yield f"start line: {_at(line)}, crossed towards {line['yaw_deg']:.0f} deg: {line['known_by']}"
+        yield f"start line: {_at(line)}, crossed towards {round(line['yaw_deg'])} deg: {line['known_by']}"
         yield f"car: {_at(facts['car'])}, its nose {facts['car']['before_line_m']:.1f} m before the line"
     if lane_m := facts["lane_m"]:
         yield f"tightest radius of the middle of the lane: {facts['tightest_radius_m']:.1f} m"

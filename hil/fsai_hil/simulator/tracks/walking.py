@@ -27,6 +27,7 @@ from fsai_hil.simulator.tracks.layout import (
     SKIDPAD_INNER_DIAMETER_M,
     STAGED_BEFORE_LINE_M,
     TIMING_POSTS,
+    Point,
     Track,
     TrackError,
     TrackKind,
@@ -43,6 +44,8 @@ from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
 
 GATE_M, POSTS_M = 8.0, 15.0  # no two cones, no two posts of one line stand further apart, be it across the lane
+STRAIGHT_M, STRAIGHT_SHARE = 1.0, 0.8  # so near its borders are so many of the cones beside a straight
+ASTRAY_RAD, BACKWARDS_RAD = math.radians(60.0), math.radians(120.0)  # a car points out of its lane, or the other way
 ACROSS_M = 15.0  # no two cones across the lane stand further apart
 OFF_LANE_M = 6.0  # further from the lane's middle, what is between them is no line of it
 TOUCHING_M = 0.05  # a nose so near before the line is not before it
@@ -67,33 +70,105 @@ def laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> T
     `start` is the file's car_start, `posts_m` (N, 2) are its timing posts. Raises TrackError where nobody knows which
     way the car goes.
     """
+    found = _laid_out(track, start, posts_m, told)
+    if start is not None and found.car_start == start:
+        _tell_of_start(found, start, told)
+    return found
+
+
+def _laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> Track:
     if (middle := _between_rings(track.cones_xy_m)) is not None:
         return _with_skidpad(track, middle, start, told)
     gates = _groups(track.cones_xy_m[track.cone_colors == ConeColor.BIG_ORANGE], GATE_M)
     posts = [group for group in _groups(posts_m, POSTS_M) if len(group) > 1]
+    if alone := len(posts_m) - sum(map(len, posts)):
+        told(f"{alone} of its timing posts stand{'s' * (alone == 1)} alone: one post marks no line")
     axis = start if start is not None else _beginning(track, posts or gates)
     if start is None:
         where = TIMING_POSTS if posts else "gate" if gates else "first pair of cones"
         told(f"no car_start: the car is staged before the {where}")
-    if (walked := _walked(track, axis)) is not None:
+    if start is None:
+        walked = _walked(track, axis)
+    else:
+        walked, start = _walked_from(track, start, told)
+        axis = start
+    if walked is not None:
         return _with_circuit(track, walked, axis, start, (posts, gates), told)
     lines = posts if len(posts) >= 2 else gates
     if len(lines) >= 2:
         first, *_, last = sorted(lines, key=lambda group: float(axis.seen(*group.mean(axis=0))[0]))
-        line, finish = _across(first, axis), last.mean(axis=0).tolist()
-        ahead_m, left_m = line.seen(*track.cones_xy_m.T)
-        beside = (ahead_m > 0.0) & (ahead_m < math.dist((line.x_m, line.y_m), finish))
-        half = float(np.median(np.abs(left_m[beside]))) if beside.any() else LANE_M / 2.0
-        track = with_straight(replace(track, kind=TrackKind.ACCELERATION), (line.x_m, line.y_m), finish, half)
-        return replace(_started(track, start, told), line_by=_marks(first, lines is posts))
+        line = _across(first, axis)
+        straight = _with_straight(track, line, last.mean(axis=0).tolist())
+        if straight is not None:
+            return replace(_started(straight, start, told), line_by=_marks(first, lines is posts))
     # Cones that make no circuit which can be walked.
-    told("its cones make no closed lane: laps are counted at the line alone, and nothing is off course")
+    told(
+        f"its cones make no closed lane{' ahead of car_start' * (start is not None)}: "
+        "laps are counted at the line alone, and nothing is off course"
+    )
     ahead = [group for group in posts or gates if axis.seen(*group.T)[0].max() > 0.0]
     if ahead:
-        group = _first(ahead, axis)
+        group = min(ahead, key=lambda each: math.hypot(*axis.seen(*each.mean(axis=0))))
         return _started(with_line(track, _across(group, axis), _marks(group, bool(posts))), start, told)
     line, by = (_staged_line(start), UNMARKED) if start is not None else (axis, FIRST_PAIR)
     return replace(with_line(track, line, by), car_start=start)
+
+
+def _with_straight(track: Track, line: Pose, finish: Point) -> Track | None:
+    """The track with the straight from a line to the finish; None where the cones beside the way make no straight."""
+    from_xy = line.x_m, line.y_m
+    axis = Pose(*from_xy, math.atan2(finish[1] - from_xy[1], finish[0] - from_xy[0]))
+    ahead_m, left_m = axis.seen(*track.cones_xy_m.T)
+    beside_m = np.abs(left_m[(ahead_m > 0.0) & (ahead_m < math.dist(from_xy, finish))])
+    half_m = float(np.median(beside_m)) if len(beside_m) else LANE_M / 2.0
+    if np.count_nonzero(np.abs(beside_m - half_m) < STRAIGHT_M) < STRAIGHT_SHARE * len(beside_m):
+        return None
+    return with_straight(replace(track, kind=TrackKind.ACCELERATION), from_xy, finish, half_m)
+
+
+def _walked_from(track: Track, start: Pose, told: Told) -> tuple[tuple[Floats, Floats, Floats] | None, Pose]:
+    """The lane walked from car_start, and where the car stands: turned into the lane where it points across it."""
+    walked, into = _walked(track, start), _into_the_lane(track, start)
+    if into is None:
+        return walked, start
+    walked = walked or _walked(track, into)
+    if walked is None:
+        return None, start
+    middle = smoothed(resampled_ring(walked[2], 0.25), 2.0)
+    there = _at(middle, _on(middle, start.x_m, start.y_m))
+    yaw_rad = math.remainder(there.yaw_rad if _left_of(there, walked[0]) else there.yaw_rad + math.pi, 2.0 * math.pi)
+    off_rad = abs(math.remainder(start.yaw_rad - yaw_rad, 2.0 * math.pi))
+    if not ASTRAY_RAD < off_rad < BACKWARDS_RAD:
+        return walked, start
+    told(f"car_start points {math.degrees(off_rad):.0f} deg out of the lane: the car is turned into it")
+    turned = Pose(start.x_m, start.y_m, yaw_rad)
+    return _walked(track, turned) or walked, turned
+
+
+def _into_the_lane(track: Track, start: Pose) -> Pose | None:
+    """The start, turned so that blue cones are left and yellow ones right of it; None away from such cones."""
+    at = np.array((start.x_m, start.y_m))
+    blue, yellow = (
+        _nearest(track.cones_xy_m[track.cone_colors == color], at)[:2] for color in (ConeColor.BLUE, ConeColor.YELLOW)
+    )
+    if any(len(side) == 0 or math.dist(side[0], at) > ACROSS_M for side in (blue, yellow)):
+        return None
+    x, y = blue.mean(axis=0) - yellow.mean(axis=0)
+    return Pose(start.x_m, start.y_m, math.atan2(y, x) - math.pi / 2.0)
+
+
+def _left_of(there: Pose, border: Floats) -> bool:
+    """Return whether a border is left of a place on the lane and its direction there."""
+    return bool(there.seen(*border[_on(border, there.x_m, there.y_m)])[1] > 0.0)
+
+
+def _tell_of_start(track: Track, start: Pose, told: Told) -> None:
+    """Tell where the car stands as the file has it, if that is away from the cones or out of the lane."""
+    away_m = float(np.hypot(*(track.cones_xy_m - (start.x_m, start.y_m)).T).min())
+    if away_m > ACROSS_M:
+        told(f"car_start is {away_m:.0f} m from the nearest cone")
+    elif not track.on_lane(start.x_m, start.y_m):
+        told("car_start is not between the borders")
 
 
 def _marks(group: Floats, posts: bool) -> str:
@@ -205,6 +280,9 @@ def _with_circuit(
             if math.dist(middle[_on(middle, x, y)], (x, y)) < OFF_LANE_M:
                 steps = abs(_on(middle, x, y) - nose)
                 of_lane.append((min(steps, count - steps), group))
+        if groups and not of_lane:
+            what = TIMING_POSTS if groups is lines[0] else "big orange cones"
+            told(f"its {what} stand more than {OFF_LANE_M:g} m from the middle of the lane: they mark no line")
         if of_lane:
             group = min(of_lane, key=lambda each: each[0])[1]
             there = _at(middle, _on(middle, *group.mean(axis=0).tolist()))
@@ -217,7 +295,11 @@ def _with_circuit(
     line, by = found[0]
     index = _on(middle, line.x_m, line.y_m)
     middle = np.roll(middle, -index, axis=0)
-    track = with_circuit(track, _at(middle, 0), middle, left, right, by)
+    there = _at(middle, 0)  # the line is across the lane, and as far along it as its mark
+    line = Pose(*there.ahead(float(there.seen(line.x_m, line.y_m)[0])), there.yaw_rad)
+    if not _left_of(there, left):
+        told("its blue cones stand right of the car's way: by the rules they are its left border")
+    track = with_circuit(track, line, middle, left, right, by)
     assert track.start_line is not None  # with_circuit has laid it
     step_m = track.length_m / count
     past_m = ((nose - index + count // 2) % count - count // 2) * step_m
