@@ -149,6 +149,17 @@ def test_timing_posts_are_the_line_where_there_is_no_gate(at_m: float, posts: fl
     )
 
 
+@pytest.mark.parametrize("staged", [True, False])
+@pytest.mark.parametrize(("before_m", "stays"), [(6.0, True), (12.0, False)])
+def test_small_orange_cones_across_the_lane_are_its_line(staged: bool, before_m: float, stays: bool) -> None:
+    made = recolored(small_oval(), {GATE: ConeColor.ORANGE})
+    rows = [*as_csv(made, on_lane(made, -before_m)).splitlines(), "orange,0,11,0", "orange,10,20,0", "orange,12,20,0"]
+    found = parse_track("\n".join(row for row in rows if staged or "car_start" not in row), "loop.csv")
+    assert found.line_by == "its gate of 4 small orange cones, as no big ones and no timing posts mark it"
+    assert found.start_line is not None and astuple(found.start_line) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+    assert nose_before_m(found, Ami.AUTOCROSS) == pytest.approx(before_m if stays else 6.0, abs=0.3)
+
+
 def test_a_circuit_without_posts_is_saved_without_any() -> None:
     found = parse_track(as_csv(without(small_oval(), GATE), on_lane(small_oval(), -8.0)), "loop.csv")
     text = as_csv(found, found.staging(Ami.AUTOCROSS, NOSE_M))

@@ -38,8 +38,9 @@ inside radius: the sharpest that the rules allow, and some sharper). drive --tra
 takes what is named here.
 {fill(f"Files: {FILES} (YAML needs PyYAML).", 82)}
 The line is at the file's timing posts, else at its gate of big orange cones, else
-{BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between its rings. The car starts
-at the file's car_start, unless its nose is on or past the line there."""
+at one of small ones, else {BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between
+its rings. The car starts at the file's car_start, unless its nose is on or past the
+line there."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

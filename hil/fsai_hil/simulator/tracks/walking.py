@@ -1,8 +1,9 @@
 """Kind, line, start and borders of a track, from the cones of a file.
 
-The line is at the posts of the file's timing; else at its gate of big orange cones; else where the planner lays it, so
-far ahead of the staged car. That of a skidpad is between its two rings. The car is staged at the file's car_start where
-its nose stands before the line there, else as the rules stage it. The borders are found by walking the lane.
+The line is at the posts of the file's timing; else at its gate of big orange cones; on a circuit else at one of small
+ones; else where the planner lays it, so far ahead of the staged car. That of a skidpad is between its two rings. The
+car is staged at the file's car_start where its nose stands before the line there, else as the rules stage it. The
+borders are found by walking the lane.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ TOUCHING_M = 0.05  # a nose so near before the line is not before it
 UNSEEN_OFF_M = 1.5  # from where the rules stage it, a car at a line that no gate shows may stand further or less far
 BEFORE_M: Final = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS] + NOSE_M  # where the rules stage the rear axle on a circuit
 GATE_BEHIND_M: Final = 15.0  # further behind the car, a gate is not the one that it stands at
+GATE_CONES: Final = "big orange cones"
+SMALL_GATE_CONES: Final = "small orange cones, as no big ones and no timing posts mark it"
 UNMARKED: Final = f"{BEFORE_M:.1f} m ahead of where the car starts, as no gate and no timing posts mark it"
 FIRST_PAIR: Final = "its first pair of cones, as no gate and no timing posts mark it"
 RING_M: Final = SKIDPAD_INNER_DIAMETER_M / 2.0
@@ -79,28 +82,32 @@ def laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> T
 def _laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> Track:
     if (middle := _between_rings(track.cones_xy_m)) is not None:
         return _with_skidpad(track, middle, start, told)
-    gates = _groups(track.cones_xy_m[track.cone_colors == ConeColor.BIG_ORANGE], GATE_M)
+    gates, small_gates = (
+        _groups(track.cones_xy_m[track.cone_colors == color], GATE_M)
+        for color in (ConeColor.BIG_ORANGE, ConeColor.ORANGE)
+    )
     posts = [group for group in _groups(posts_m, POSTS_M) if len(group) > 1]
     if alone := len(posts_m) - sum(map(len, posts)):
         told(f"{alone} of its timing posts stand{'s' * (alone == 1)} alone: one post marks no line")
     axis = start if start is not None else _beginning(track, posts or gates)
     if start is None:
-        where = TIMING_POSTS if posts else "gate" if gates else "first pair of cones"
-        told(f"no car_start: the car is staged before the {where}")
+        told("no car_start: the car is staged before the line")
     if start is None:
         walked = _walked(track, axis)
     else:
         walked, start = _walked_from(track, start, told)
         axis = start
     if walked is not None:
-        return _with_circuit(track, walked, axis, start, (posts, gates), told)
+        return _with_circuit(track, walked, axis, start, (posts, gates, small_gates), told)
     lines = posts if len(posts) >= 2 else gates
     if len(lines) >= 2:
         first, *_, last = sorted(lines, key=lambda group: float(axis.seen(*group.mean(axis=0))[0]))
         line = _across(first, axis)
         straight = _with_straight(track, line, last.mean(axis=0).tolist())
         if straight is not None:
-            return replace(_started(straight, start, told), line_by=_marks(first, lines is posts))
+            return replace(
+                _started(straight, start, told), line_by=_marks(first, TIMING_POSTS if lines is posts else GATE_CONES)
+            )
     # Cones that make no circuit which can be walked.
     told(
         f"its cones make no closed lane{' ahead of car_start' * (start is not None)}: "
@@ -109,7 +116,9 @@ def _laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> 
     ahead = [group for group in posts or gates if axis.seen(*group.T)[0].max() > 0.0]
     if ahead:
         group = min(ahead, key=lambda each: math.hypot(*axis.seen(*each.mean(axis=0))))
-        return _started(with_line(track, _across(group, axis), _marks(group, bool(posts))), start, told)
+        return _started(
+            with_line(track, _across(group, axis), _marks(group, TIMING_POSTS if posts else GATE_CONES)), start, told
+        )
     line, by = (_staged_line(start), UNMARKED) if start is not None else (axis, FIRST_PAIR)
     return replace(with_line(track, line, by), car_start=start)
 
@@ -157,6 +166,12 @@ def _into_the_lane(track: Track, start: Pose) -> Pose | None:
     return Pose(start.x_m, start.y_m, math.atan2(y, x) - math.pi / 2.0)
 
 
+def _spans(group: Floats, there: Pose) -> bool:
+    """Return whether cones stand on both sides of a place on the lane, and no further along it than those of a gate."""
+    ahead_m, left_m = there.seen(*group.T)
+    return bool(left_m.min() < 0.0 < left_m.max() and np.ptp(ahead_m) < GATE_DEPTH_M)
+
+
 def _left_of(there: Pose, border: Floats) -> bool:
     """Return whether a border is left of a place on the lane and its direction there."""
     return bool(there.seen(*border[_on(border, there.x_m, there.y_m)])[1] > 0.0)
@@ -171,10 +186,10 @@ def _tell_of_start(track: Track, start: Pose, told: Told) -> None:
         told("car_start is not between the borders")
 
 
-def _marks(group: Floats, posts: bool) -> str:
+def _marks(group: Floats, what: str) -> str:
     """The mark of a line, in words."""
     count = len(group)
-    return f"{count} {TIMING_POSTS}" if posts else f"its gate of {count} big orange cone{'s' * (count > 1)}"
+    return f"{count} {what}" if what == TIMING_POSTS else f"its gate of {count} {what if count > 1 else what[:-1]}"
 
 
 def _started(track: Track, start: Pose | None, told: Told) -> Track:
@@ -264,29 +279,32 @@ def _with_circuit(
     walked: tuple[Floats, Floats, Floats],
     axis: Pose,
     start: Pose | None,
-    lines: tuple[Sequence[Floats], Sequence[Floats]],
+    lines: tuple[Sequence[Floats], Sequence[Floats], Sequence[Floats]],
     told: Told,
 ) -> Track:
-    """The track with the lane that was walked. `lines`: groups of timing posts and of big orange cones."""
+    """The track with the lane that was walked. `lines`: groups of timing posts, of big and of small orange cones."""
     left, right, middle = walked
     middle = smoothed(resampled_ring(middle, 0.25), 2.0)
     count = len(middle)
     nose = _on(middle, *(axis if start is None else Pose(*start.ahead(NOSE_M))).ahead(0.0))
     found: list[tuple[Pose, str]] = []
-    for groups in lines:
+    for groups, what in zip(lines, (TIMING_POSTS, GATE_CONES, SMALL_GATE_CONES), strict=True):
+        small = what == SMALL_GATE_CONES
         of_lane: list[tuple[int, Floats]] = []  # how many points from the nose, either way
         for group in groups:
             x, y = group.mean(axis=0).tolist()
-            if math.dist(middle[_on(middle, x, y)], (x, y)) < OFF_LANE_M:
-                steps = abs(_on(middle, x, y) - nose)
+            at = _on(middle, x, y)
+            if math.dist(middle[at], (x, y)) < OFF_LANE_M and not (
+                small and (found or not _spans(group, _at(middle, at)))
+            ):
+                steps = abs(at - nose)
                 of_lane.append((min(steps, count - steps), group))
-        if groups and not of_lane:
-            what = TIMING_POSTS if groups is lines[0] else "big orange cones"
-            told(f"its {what} stand more than {OFF_LANE_M:g} m from the middle of the lane: they mark no line")
         if of_lane:
             group = min(of_lane, key=lambda each: each[0])[1]
             there = _at(middle, _on(middle, *group.mean(axis=0).tolist()))
-            found.append((_across(group, there), _marks(group, groups is lines[0])))
+            found.append((_across(group, there), _marks(group, what)))
+        elif groups and not small:
+            told(f"its {what} stand more than {OFF_LANE_M:g} m from the middle of the lane: they mark no line")
     if not found:
         found = [(axis, FIRST_PAIR)] if start is None else [(_staged_line(start), UNMARKED)]
     apart_m = math.dist(*((line.x_m, line.y_m) for line, _ in found[:2])) if len(found) > 1 else 0.0
@@ -306,7 +324,8 @@ def _with_circuit(
     if start is not None and abs(past_m) < BEFORE_M:  # more exactly than by points of the line
         past_m = float(track.start_line.seen(*start.ahead(NOSE_M))[0])
     staged_m = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS]
-    unseen = len(found) == 1 and by.endswith(TIMING_POSTS)  # a planner takes it to be where the rules have it
+    # A planner takes a line that no big orange cones show to be where the rules have it.
+    unseen = len(found) == 1 and by.endswith((TIMING_POSTS, SMALL_GATE_CONES))
     if start is not None and past_m <= -TOUCHING_M and not (unseen and abs(past_m + staged_m) > UNSEEN_OFF_M):
         return replace(track, car_start=start)
     if start is not None:
