@@ -291,6 +291,14 @@ def test_cones_that_form_no_lane_have_no_borders() -> None:
     assert track.on_lane(1000.0, 1000.0)
 
 
+def test_a_cone_that_is_in_the_file_twice_stands_once(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = as_csv(small_oval(), Pose(-8.0, 0.0, 0.0))
+    again = "".join(f"{row}\n" for row in rows.splitlines()[1:] if "car_start" not in row)
+    assert len(parse_track(rows + again, "loop.csv").cones_xy_m) == len(small_oval().cones_xy_m)
+    count = len(small_oval().cones_xy_m)
+    assert capsys.readouterr().err == f"loop.csv: skipped {count} cones that stood in the file before\n"
+
+
 def test_a_tag_that_means_nothing_is_skipped_with_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     rows = as_csv(small_oval(), Pose(-8.0, 0.0, 0.0))
     track = parse_track(rows + "purple,1,2\npurple,3,2\nunknown,50,50\ntimekeeping,0,4\ntimekeeping,0,-4\n", "loop.csv")

@@ -34,6 +34,8 @@ def parse_track(text: str, source: str) -> Track:
     posts: list[Point] = []
     start: Pose | None = None
     skipped: Counter[str] = Counter()
+    seen: set[tuple[float, float, str]] = set()
+    doubled = 0
     notes: list[str] = []
     for at, tag, values in rows_of(text, source, notes.append):
         x, y = number_of(values, 0, "x", at), number_of(values, 1, "y", at)
@@ -53,6 +55,10 @@ def parse_track(text: str, source: str) -> Track:
         elif name == "timekeeping":
             posts.append((x, y))
         elif name in TAGS:
+            if (x, y, name) in seen:
+                doubled += 1
+                continue
+            seen.add((x, y, name))
             points.append((x, y))
             colors.append(TAGS[name])
         elif name not in NO_CONES:
@@ -60,6 +66,8 @@ def parse_track(text: str, source: str) -> Track:
         if len(points) + len(posts) > MOST_CONES:
             raise TrackError(f"{at}: more than {MOST_CONES} cones")
     notes += (f"skipped {count} row{'s' * (count > 1)} with tag {tag!r}" for tag, count in skipped.items())
+    if doubled:
+        notes.append(f"skipped {doubled} cone{'s' * (doubled > 1)} that stood in the file before")
     if not points:
         raise TrackError(f"{source}: no cones")
     colored = np.array(colors, dtype=np.int64)
