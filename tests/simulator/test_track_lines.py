@@ -27,6 +27,7 @@ from fsai_vcu.interface.enums import Ami
 NOSE_M = ADS_DV_2026.nose_ahead_of_rear_axle_m
 GATE = ConeColor.BIG_ORANGE
 B, Y, U = ConeColor.BLUE, ConeColor.YELLOW, ConeColor.UNKNOWN
+TURNED = Pose(20.0, -7.0, 2.0)
 
 
 def without(track: Track, *colors: ConeColor) -> Track:
@@ -41,6 +42,10 @@ def recolored(track: Track, color_of: dict[ConeColor, ConeColor]) -> Track:
 
 def moved(track: Track, by: Pose) -> Track:
     return replace(track, cones_xy_m=np.column_stack(by.ahead(*track.cones_xy_m.T)))
+
+
+def moved_pose(pose: Pose, by: Pose) -> Pose:
+    return Pose(*by.ahead(pose.x_m, pose.y_m), pose.yaw_rad + by.yaw_rad)
 
 
 def on_lane(track: Track, ahead_m: float) -> Pose:
@@ -100,6 +105,22 @@ def test_a_car_start_across_the_lane_is_turned_into_it(deg: float, capsys: pytes
     assert found.closed and "gate of 4" in found.line_by
     assert astuple(found.staging(Ami.AUTOCROSS, NOSE_M)) == pytest.approx(astuple(start), abs=0.05)
     assert f"car_start points {abs(deg):.0f} deg out of the lane: the car is turned into it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("deg", [-90.0, 80.0])
+@pytest.mark.parametrize(
+    ("track", "mission", "before_m"),
+    [(acceleration_track(), Ami.ACCELERATION, 0.3), (skidpad_track(), Ami.SKIDPAD, 15.0)],
+)
+def test_so_it_is_before_a_straight_and_a_skidpad(
+    track: Track, mission: Ami, before_m: float, deg: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    across = Pose(-NOSE_M - before_m, 0.0, math.radians(deg))
+    found = parse_track(as_csv(moved(track, TURNED), moved_pose(across, TURNED)), "given.csv")
+    assert found.start_line is not None
+    assert astuple(found.start_line) == pytest.approx(astuple(TURNED), abs=0.02)
+    assert nose_before_m(found, mission) == pytest.approx(before_m, abs=0.02)
+    assert f"car_start points {abs(deg):.0f} deg out of the lane" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -236,9 +257,6 @@ def test_a_lane_that_is_not_closed_is_said(capsys: pytest.CaptureFixture[str]) -
 
 
 # ------------------------------------------------------------ skidpads
-
-
-TURNED = Pose(20.0, -7.0, 2.0)
 
 
 @pytest.mark.parametrize("colors", [{}, {B: Y, Y: B}, {Y: B}, {B: U, Y: U}, {B: ConeColor.ORANGE}])

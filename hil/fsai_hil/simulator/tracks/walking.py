@@ -74,8 +74,9 @@ def laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> T
     way the car goes.
     """
     found = _laid_out(track, start, posts_m, told)
-    if start is not None and found.car_start == start:
-        _tell_of_start(found, start, told)
+    given = None if start is None else (start.x_m, start.y_m)
+    if found.car_start is not None and (found.car_start.x_m, found.car_start.y_m) == given:
+        _tell_of_start(found, found.car_start, told)
     return found
 
 
@@ -101,7 +102,7 @@ def _laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> 
         return _with_circuit(track, walked, axis, start, (posts, gates, small_gates), told)
     lines = posts if len(posts) >= 2 else gates
     if len(lines) >= 2:
-        first, *_, last = sorted(lines, key=lambda group: float(axis.seen(*group.mean(axis=0))[0]))
+        first, *_, last = sorted(lines, key=lambda group: math.hypot(*axis.seen(*group.mean(axis=0))))
         line = _across(first, axis)
         straight = _with_straight(track, line, last.mean(axis=0).tolist())
         if straight is not None:
@@ -147,11 +148,19 @@ def _walked_from(track: Track, start: Pose, told: Told) -> tuple[tuple[Floats, F
     there = _at(middle, _on(middle, start.x_m, start.y_m))
     yaw_rad = math.remainder(there.yaw_rad if _left_of(there, walked[0]) else there.yaw_rad + math.pi, 2.0 * math.pi)
     off_rad = abs(math.remainder(start.yaw_rad - yaw_rad, 2.0 * math.pi))
-    if not ASTRAY_RAD < off_rad < BACKWARDS_RAD:
+    if off_rad > BACKWARDS_RAD:  # the lane may be driven so
         return walked, start
-    told(f"car_start points {math.degrees(off_rad):.0f} deg out of the lane: the car is turned into it")
-    turned = Pose(start.x_m, start.y_m, yaw_rad)
+    turned = _turned_into(start, yaw_rad, told)
     return _walked(track, turned) or walked, turned
+
+
+def _turned_into(start: Pose, yaw_rad: float, told: Told) -> Pose:
+    """The car_start, turned into a lane of that direction where it points out of it."""
+    off_rad = abs(math.remainder(start.yaw_rad - yaw_rad, 2.0 * math.pi))
+    if off_rad <= ASTRAY_RAD:
+        return start
+    told(f"car_start points {math.degrees(off_rad):.0f} deg out of the lane: the car is turned into it")
+    return Pose(start.x_m, start.y_m, yaw_rad)
 
 
 def _into_the_lane(track: Track, start: Pose) -> Pose | None:
@@ -196,6 +205,8 @@ def _started(track: Track, start: Pose | None, told: Told) -> Track:
     """The track with the car at the file's car_start, if its nose is before the line there."""
     line = track.start_line
     assert line is not None  # callers have laid it
+    if start is not None:
+        start = _turned_into(start, line.yaw_rad, told)
     past_m = -math.inf if start is None else float(line.seen(*start.ahead(NOSE_M))[0])
     if past_m <= -TOUCHING_M:
         return replace(track, car_start=start)
@@ -421,7 +432,9 @@ def _with_skidpad(track: Track, middle: Pose, start: Pose | None, told: Told) ->
     """The rules' skidpad, laid over the cones of a file."""
     if start is None:
         told("no car_start: the car is staged before the rings")
-    way_in = math.cos(start.yaw_rad - middle.yaw_rad) if start is not None else _way_in(track, middle)
+    way_in = _way_in(track, middle) if start is None else math.cos(start.yaw_rad - middle.yaw_rad)
+    if start is not None and abs(way_in) < math.cos(ASTRAY_RAD):  # it comes in from where it stands
+        way_in = -float(middle.seen(start.x_m, start.y_m)[0])
     origin = middle if way_in > 0.0 else Pose(middle.x_m, middle.y_m, middle.yaw_rad + math.pi)
     origin = Pose(origin.x_m, origin.y_m, math.remainder(origin.yaw_rad, 2.0 * math.pi))
     ideal = skidpad_track()
