@@ -323,7 +323,7 @@ def shown(value: object) -> str:
 
 
 def _entry(found: object, key: str, at: str) -> Any:
-    """What a mapping has under a key; raises TrackError."""
+    """The value that a mapping has under a key; raises TrackError."""
     if not isinstance(found, Mapping):
         raise TrackError(f"{at} is {shown(found)}, not a mapping")
     if key not in found:
