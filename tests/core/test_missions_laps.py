@@ -87,7 +87,7 @@ def test_a_line_beside_which_the_car_passes_is_not_passed() -> None:
     assert straight_to(seen, 0.0, 30.0, y_m=6.0).passages == 0
 
 
-def test_a_line_assumed_beside_the_lane_is_where_the_car_is_later() -> None:
+def test_a_line_assumed_beside_the_lane_is_laid_anew() -> None:
     """The car was staged in a bend of 6 m without a gate: straight ahead is no lane."""
     state, passed_m = staged(Motion(), 8.0), []
     for step in range(400):

@@ -220,7 +220,7 @@ def test_posts_that_mark_no_line_are_said(
     assert "gate of 4" in found.line_by and words in capsys.readouterr().err
 
 
-def test_an_open_lane_with_a_bend_between_its_gates_is_no_straight(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_open_lane_that_bends_between_gates_is_no_straight(capsys: pytest.CaptureFixture[str]) -> None:
     made = acceleration_track()
     x, y = made.cones_xy_m.T
     bent = replace(made, cones_xy_m=np.column_stack((x, y + 8.0 * np.sin(np.clip(x, 0.0, 75.0) * math.pi / 75.0))))
@@ -230,7 +230,7 @@ def test_an_open_lane_with_a_bend_between_its_gates_is_no_straight(capsys: pytes
     assert "no closed lane ahead of car_start" in capsys.readouterr().err
 
 
-def test_of_two_gates_of_an_open_lane_the_nearest_ahead_is_the_line() -> None:
+def test_the_nearest_gate_ahead_on_an_open_lane_is_the_line() -> None:
     half = small_oval().cones_xy_m[:, 0] > -14.0
     made = replace(small_oval(), cones_xy_m=small_oval().cones_xy_m[half], cone_colors=small_oval().cone_colors[half])
     far = "".join(f"big_orange,-5,{20.0 + y}\n" for y in (1.75, -1.75))
