@@ -126,8 +126,8 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     turned = abs(math.remainder(motion.yaw_rad - state.line.yaw_rad, 2.0 * math.pi))
     if state.passages == 0 and not state.line.seen and motion.distance_m > state.due_m + OVERDUE_M:
         # The car was staged in a bend: the line that it assumed is beside its lane.
-        here = GateLine(motion.x_m, motion.y_m, motion.yaw_rad, seen=False, at_distance_m=motion.distance_m)
-        return LapState(here, 1, passed_at_m=motion.distance_m)
+        missed = GateLine(motion.x_m, motion.y_m, motion.yaw_rad, seen=False, at_distance_m=motion.distance_m)
+        return LapState(missed, 1, passed_at_m=motion.distance_m)
     if abs(left) > within or turned > math.radians(60.0):
         return replace(state, armed=False) if state.armed and abs(left) > within + 3.0 else state
     if -ARMING_M < ahead < -BEFORE_M:
