@@ -83,11 +83,29 @@ def test_standing_on_the_line_and_rocking_over_it_counts_once() -> None:
 
 
 def test_a_line_beside_which_the_car_passes_is_not_passed() -> None:
-    assert straight_to(staged(Motion(), 8.0), 0.0, 30.0, y_m=6.0).passages == 0
+    seen = gate_seen(staged(Motion(), 8.0), 8.0, 0.0, 0.0, Motion(), LAP_MIN_M)
+    assert straight_to(seen, 0.0, 30.0, y_m=6.0).passages == 0
+
+
+def test_a_line_assumed_beside_the_lane_is_laid_anew() -> None:
+    """The car was staged in a bend of 6 m without a gate: straight ahead is no lane."""
+    state, passed_m = staged(Motion(), 8.0), []
+    for step in range(400):
+        way_m = 0.5 * step
+        bend = min(way_m, 3.0 * math.pi) / 6.0  # a quarter, then laps of a wider circle that comes back to it
+        after = max(0.0, way_m - 3.0 * math.pi) / RADIUS_M
+        x_m = 6.0 * math.sin(bend) - RADIUS_M * (1.0 - math.cos(after))
+        y_m = 6.0 * (1.0 - math.cos(bend)) + RADIUS_M * math.sin(after)
+        yaw_rad = math.remainder(bend + after, 2.0 * math.pi)
+        before = state.passages
+        state = advance_laps(state, Motion(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, distance_m=way_m), LAP_MIN_M)
+        passed_m += [way_m] * (state.passages - before)
+    assert passed_m[0] == pytest.approx(10.0, abs=1.0)
+    assert passed_m[1] - passed_m[0] == pytest.approx(2.0 * math.pi * RADIUS_M, abs=1.0)
 
 
 def test_a_line_that_is_passed_the_wrong_way_is_not_passed() -> None:
-    state = staged(Motion(), 8.0)
+    state = gate_seen(staged(Motion(), 8.0), 8.0, 0.0, 0.0, Motion(), LAP_MIN_M)
     for step in range(60):
         here = Motion(x_m=20.0 - 0.5 * step, yaw_rad=math.pi, distance_m=0.5 * step)
         state = advance_laps(state, here, LAP_MIN_M)

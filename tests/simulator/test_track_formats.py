@@ -97,6 +97,29 @@ def test_a_second_header_is_named_by_its_line(capsys: pytest.CaptureFixture[str]
         assert capsys.readouterr().err.startswith("loop.csv: line 23 is a second header: ")
 
 
+def test_a_table_may_have_comments_and_spaces_in_its_names() -> None:
+    text = as_csv(OVAL, START).replace("big_orange", "Big Orange").replace("car_start", "car start")
+    header, *rows = text.splitlines()
+    for lines in (
+        ["# by hand", header, *rows[:5], "# the far side, of ours", *rows[5:]],
+        [rows[-1].upper().replace(" ", "_"), *rows[:-1]],
+    ):
+        found = parse_track("\n".join(lines), "loop.csv")
+        assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx(astuple(START))
+        assert found.cone_colors.tolist() == OVAL.cone_colors.tolist()
+
+
+def test_a_direction_is_what_the_header_calls_so(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [f"{name},{x},{y},0.3" for name, (x, y) in zip(NAMES, OVAL.cones_xy_m, strict=True)]
+    for columns, start, said in (
+        ("z", "-8,0,0.3", "loop.csv: car_start has no direction: it is taken to be 0, along x\n"),
+        ("z,direction", "-8,0,0.3,0", ""),
+    ):
+        found = parse_track("\n".join([f"tag,x,y,{columns}", *rows, f"car_start,{start}"]), "loop.csv")
+        assert found.staging(Ami.AUTOCROSS, 2.17) == Pose(-8.0, 0.0, 0.0)
+        assert capsys.readouterr().err == said
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
@@ -106,10 +129,30 @@ def test_a_second_header_is_named_by_its_line(capsys: pytest.CaptureFixture[str]
         ("bad.json", json.dumps(merchant(x=[1.0])), "x, y and color have 1, "),
         ("bad.json", json.dumps(merchant(color=[7] * len(OVAL.cones_xy_m))), "cone 1: color is 7, not 0 to 4"),
         ("bad.json", json.dumps(merchant(start_orientation="north")), "start: orientation is 'north', not a number"),
-        ("bad.json", json.dumps(merchant(start_position=None)), "not laid out as JSON of layout-merchant is"),
+        ("bad.json", json.dumps(merchant(start_position=None)), "start: position is nothing, not a list of 2 numbers"),
         ("bad.csv", "cone_type,X,Y,Z\nblue,1\n", "line 2: 2 columns where at least cone_type, x, y"),
         ("bad.csv", "cone_type,X,Y,Z\nblue,1,up,0\n", "line 2: y is 'up'"),
         ("bad.csv", "id,x,y\n", "line 1: the header must begin with tag,x,y"),
+        ("bad.csv", "# mine\n\nid,x,y\n", "line 3: the header must begin with tag,x,y"),
+        ("bad.csv", "tag,x,y\nblue\n", "line 2: 1 column where at least tag, x, y"),
+        ("bad.csv", "car_start,1,2,90\nblue,1,2\n", "line 1: direction is 90, more than a full turn; is it in rad?"),
+        ("bad.json", '{"x": 1, "y": [2], "color": [1]}', "bad.json: x is 1, not a list"),
+        ("bad.yaml", "track: oval\n", "bad.yaml: track is 'oval', not a mapping"),
+        ("bad.yaml", "track: {left: {}}\n", "bad.yaml: track: left is {}, not a list"),
+        ("bad.yaml", "track: {left: [{position: [1, 2]}]}\n", "bad.yaml: left 1: has no class"),
+        (
+            "bad.yaml",
+            "track: {left: [{position: [1], class: blue}]}\n",
+            "left 1: position is [1], not a list of 2 numbers",
+        ),
+        (
+            "bad.yaml",
+            "track: {left: [], start: {position: [1, 2], orientation: [0]}}\n",
+            "start: orientation is [0], not",
+        ),
+        ("bad.yaml", "cones_left: many\n", "bad.yaml: cones_left is 'many', not a list"),
+        ("bad.yaml", "cones_left: [[1]]\n", "bad.yaml: cones_left 1 is [1], not a list of 2 numbers"),
+        ("bad.yaml", "cones_left: [\n[1, 2\n", "bad.yaml: line 3: not valid YAML: while parsing a flow sequence"),
         ("boundaries_1.yaml", "left: [1]\nright: [2]\n", "cone_map_1.yaml, which belongs to it, cannot be read"),
         ("borders.yaml", "left: [1]\nright: [2]\n", "not named boundaries_N.yaml"),
         ("cone_map_1.yaml", "5: [1, 2]\n", "boundaries_1.yaml, which belongs to it, cannot be read"),
@@ -129,6 +172,12 @@ def test_a_cone_on_a_border_that_is_not_in_the_map_is_named(tmp_path: Path) -> N
     path = starkstrom(tmp_path)
     path.write_text(path.read_text() + "- 999\n")
     with pytest.raises(TrackError, match=r"right: cone 999 is not in cone_map_3\.yaml"):
+        load_track(path)
+    path.write_text("left: [5]\nright: [[6]]\n")
+    with pytest.raises(TrackError, match=r"right: cone \[6\] is not in cone_map_3\.yaml"):
+        load_track(path)
+    (tmp_path / "cone_map_3.yaml").write_text("5: [1]\n")
+    with pytest.raises(TrackError, match=r"cone_map_3\.yaml: 5 is \[1\], not a list of 2 numbers"):
         load_track(path)
 
 

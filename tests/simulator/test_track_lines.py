@@ -26,6 +26,8 @@ from fsai_vcu.interface.enums import Ami
 
 NOSE_M = ADS_DV_2026.nose_ahead_of_rear_axle_m
 GATE = ConeColor.BIG_ORANGE
+B, Y, U = ConeColor.BLUE, ConeColor.YELLOW, ConeColor.UNKNOWN
+TURNED = Pose(20.0, -7.0, 2.0)
 
 
 def without(track: Track, *colors: ConeColor) -> Track:
@@ -33,8 +35,17 @@ def without(track: Track, *colors: ConeColor) -> Track:
     return replace(track, cones_xy_m=track.cones_xy_m[kept], cone_colors=track.cone_colors[kept])
 
 
+def recolored(track: Track, color_of: dict[ConeColor, ConeColor]) -> Track:
+    colors = [color_of.get(ConeColor(color), ConeColor(color)) for color in track.cone_colors]
+    return replace(track, cone_colors=np.array(colors, dtype=np.int64))
+
+
 def moved(track: Track, by: Pose) -> Track:
     return replace(track, cones_xy_m=np.column_stack(by.ahead(*track.cones_xy_m.T)))
+
+
+def moved_pose(pose: Pose, by: Pose) -> Pose:
+    return Pose(*by.ahead(pose.x_m, pose.y_m), pose.yaw_rad + by.yaw_rad)
 
 
 def on_lane(track: Track, ahead_m: float) -> Pose:
@@ -42,9 +53,12 @@ def on_lane(track: Track, ahead_m: float) -> Pose:
     line = track.centreline_m
     assert line is not None
     step_m = track.length_m / len(line)
-    at = round((ahead_m - NOSE_M) / step_m) % len(line)
+    at = round((ahead_m - NOSE_M) / step_m)
+    rest_m = ahead_m - NOSE_M - at * step_m
+    at %= len(line)
     x, y = line[(at + 2) % len(line)] - line[at - 2]
-    return Pose(float(line[at, 0]), float(line[at, 1]), math.atan2(y, x))
+    there = Pose(float(line[at, 0]), float(line[at, 1]), math.atan2(y, x))
+    return Pose(*there.ahead(rest_m), there.yaw_rad)
 
 
 def nose_before_m(track: Track, mission: Ami) -> float:
@@ -83,6 +97,54 @@ def test_so_it_is_on_a_straight_and_in_a_skidpad(track: Track, mission: Ami, sta
     assert nose_before_m(found, mission) == pytest.approx(staged_m, abs=1e-3)
 
 
+@pytest.mark.parametrize("deg", [-110.0, -90.0, 75.0, 100.0])
+def test_a_car_start_across_the_lane_is_turned_into_it(deg: float, capsys: pytest.CaptureFixture[str]) -> None:
+    start = on_lane(small_oval(), -6.0)
+    across = Pose(start.x_m, start.y_m, start.yaw_rad + math.radians(deg))
+    found = parse_track(as_csv(small_oval(), across), "loop.csv")
+    assert found.closed and "gate of 4" in found.line_by
+    assert astuple(found.staging(Ami.AUTOCROSS, NOSE_M)) == pytest.approx(astuple(start), abs=0.05)
+    assert f"car_start points {abs(deg):.0f} deg out of the lane: the car is turned into it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("deg", [-90.0, 80.0])
+@pytest.mark.parametrize(
+    ("track", "mission", "before_m"),
+    [(acceleration_track(), Ami.ACCELERATION, 0.3), (skidpad_track(), Ami.SKIDPAD, 15.0)],
+)
+def test_so_it_is_before_a_straight_and_a_skidpad(
+    track: Track, mission: Ami, before_m: float, deg: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    across = Pose(-NOSE_M - before_m, 0.0, math.radians(deg))
+    found = parse_track(as_csv(moved(track, TURNED), moved_pose(across, TURNED)), "given.csv")
+    assert found.start_line is not None
+    assert astuple(found.start_line) == pytest.approx(astuple(TURNED), abs=0.02)
+    assert nose_before_m(found, mission) == pytest.approx(before_m, abs=0.02)
+    assert f"car_start points {abs(deg):.0f} deg out of the lane" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("track", "start", "words"),
+    [
+        (small_oval(), Pose(-8.0, 2.5, 0.0), "car_start is not between the borders"),
+        (small_oval(), Pose(200.0, 0.0, 0.0), "m from the nearest cone"),
+        (skidpad_track(), Pose(-17.0, 3.0, 0.0), "car_start is not between the borders"),
+        (skidpad_track(), Pose(-90.0, 0.0, 0.0), "car_start is 71 m from the nearest cone"),
+        (acceleration_track(), Pose(-2.5, -4.0, 0.0), "car_start is not between the borders"),
+    ],
+)
+def test_a_car_start_off_the_lane_is_said(
+    track: Track, start: Pose, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parse_track(as_csv(track, start), "given.csv")
+    assert words in capsys.readouterr().err
+
+
+def test_blue_cones_on_the_cars_right_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    parse_track(as_csv(recolored(small_oval(), {B: Y, Y: B}), on_lane(small_oval(), -6.0)), "loop.csv")
+    assert "its blue cones stand right of the car's way" in capsys.readouterr().err
+
+
 # ------------------------------------------------------------ the line
 
 
@@ -101,11 +163,22 @@ def test_timing_posts_are_the_line_where_there_is_no_gate(at_m: float, posts: fl
     text += f"timekeeping,{at_m},{posts}\ntime_keeping,{at_m},{-posts}\n"
     found = parse_track(text, "loop.csv")
     assert found.start_line is not None and found.line_by == "2 timing posts"
-    assert (found.start_line.x_m, found.start_line.y_m) == pytest.approx((at_m, 0.0), abs=0.13)
+    assert (found.start_line.x_m, found.start_line.y_m) == pytest.approx((at_m, 0.0), abs=0.02)
     saved = parse_track(as_csv(found, found.staging(Ami.AUTOCROSS, NOSE_M)), "again.csv")
     assert saved.start_line is not None and astuple(saved.start_line) == pytest.approx(
-        astuple(found.start_line), abs=0.1
+        astuple(found.start_line), abs=0.02
     )
+
+
+@pytest.mark.parametrize("staged", [True, False])
+@pytest.mark.parametrize(("before_m", "stays"), [(6.0, True), (12.0, False)])
+def test_small_orange_cones_across_the_lane_are_its_line(staged: bool, before_m: float, stays: bool) -> None:
+    made = recolored(small_oval(), {GATE: ConeColor.ORANGE})
+    rows = [*as_csv(made, on_lane(made, -before_m)).splitlines(), "orange,0,11,0", "orange,10,20,0", "orange,12,20,0"]
+    found = parse_track("\n".join(row for row in rows if staged or "car_start" not in row), "loop.csv")
+    assert found.line_by == "its gate of 4 small orange cones, as no big ones and no timing posts mark it"
+    assert found.start_line is not None and astuple(found.start_line) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+    assert nose_before_m(found, Ami.AUTOCROSS) == pytest.approx(before_m if stays else 6.0, abs=0.3)
 
 
 def test_a_circuit_without_posts_is_saved_without_any() -> None:
@@ -132,6 +205,40 @@ def test_posts_far_from_the_gate_are_said(capsys: pytest.CaptureFixture[str]) ->
     assert "its timing posts stand 8.0 m from its gate" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("posts", "words"),
+    [
+        ([(0.0, 3.0)], "1 of its timing posts stands alone"),
+        ([(90.0, 3.0), (90.0, -3.0)], "its timing posts stand more than 6 m from the middle of the lane"),
+    ],
+)
+def test_posts_that_mark_no_line_are_said(
+    posts: list[tuple[float, float]], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = "".join(f"timekeeping,{x},{y}\n" for x, y in posts)
+    found = parse_track(as_csv(small_oval(), on_lane(small_oval(), -6.0)) + rows, "loop.csv")
+    assert "gate of 4" in found.line_by and words in capsys.readouterr().err
+
+
+def test_an_open_lane_that_bends_between_gates_is_no_straight(capsys: pytest.CaptureFixture[str]) -> None:
+    made = acceleration_track()
+    x, y = made.cones_xy_m.T
+    bent = replace(made, cones_xy_m=np.column_stack((x, y + 8.0 * np.sin(np.clip(x, 0.0, 75.0) * math.pi / 75.0))))
+    found = parse_track(as_csv(bent, Pose(-NOSE_M - 0.3, 0.0, 0.0)), "open.csv")
+    assert found.kind is TrackKind.CIRCUIT and not found.closed
+    assert found.start_line is not None and abs(found.start_line.x_m) < 0.1
+    assert "no closed lane ahead of car_start" in capsys.readouterr().err
+
+
+def test_the_nearest_gate_ahead_on_an_open_lane_is_the_line() -> None:
+    half = small_oval().cones_xy_m[:, 0] > -14.0
+    made = replace(small_oval(), cones_xy_m=small_oval().cones_xy_m[half], cone_colors=small_oval().cone_colors[half])
+    far = "".join(f"big_orange,-5,{20.0 + y}\n" for y in (1.75, -1.75))
+    found = parse_track(as_csv(made, Pose(-8.2, 0.0, 0.0)) + far, "open.csv")
+    assert not found.closed and found.start_line is not None
+    assert astuple(found.start_line) == pytest.approx((0.0, 0.0, 0.0), abs=0.1)
+
+
 def test_four_posts_make_a_straight_of_a_file_without_gates() -> None:
     posts = [f"timekeeping,{x},{y}" for x in (0.0, 75.0) for y in (4.0, -4.0)]
     text = as_csv(without(acceleration_track(), GATE), Pose(-NOSE_M - 0.3, 0.0, 0.0))
@@ -150,15 +257,6 @@ def test_a_lane_that_is_not_closed_is_said(capsys: pytest.CaptureFixture[str]) -
 
 
 # ------------------------------------------------------------ skidpads
-
-
-def recolored(track: Track, color_of: dict[ConeColor, ConeColor]) -> Track:
-    colors = [color_of.get(ConeColor(color), ConeColor(color)) for color in track.cone_colors]
-    return replace(track, cone_colors=np.array(colors, dtype=np.int64))
-
-
-B, Y, U = ConeColor.BLUE, ConeColor.YELLOW, ConeColor.UNKNOWN
-TURNED = Pose(20.0, -7.0, 2.0)
 
 
 @pytest.mark.parametrize("colors", [{}, {B: Y, Y: B}, {Y: B}, {B: U, Y: U}, {B: ConeColor.ORANGE}])

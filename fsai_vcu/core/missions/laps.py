@@ -1,6 +1,7 @@
 """Counting laps: the line of the start gate passed, as often as it is passed, and no oftener.
 
-The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead.
+The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead,
+or, if the lane bends away from there, where the car is a little later.
 Both lines are defined here, for the judge of the simulation too.
 Seeing the gate again corrects the line, so that odometry may drift by metres in a lap; without a gate the
 line is laid again where the car passes it, so that only one lap's drift matters. A passage that only odometry has told
@@ -25,6 +26,7 @@ GATE_DEPTH_M = 5.0  # along the lane, between cones of one gate
 ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
 PASSED_M = 6.0  # further behind it than this the car has not just passed it
 BEFORE_M = 0.3
+OVERDUE_M = 2.0  # so much further on than it was ahead, an assumed line has been missed
 GATE_SHIFT_M = 3.0  # how far the middle of a gate may move from one sighting to the next …
 DRIFT_MAX = 0.08  # … and by how much more of the driven path meanwhile
 AGAIN_STEP_M, AGAIN_M, AGAIN_COS = 1.0, 1.2, 0.9  # so near its earlier way, the car drives it again …
@@ -64,6 +66,7 @@ class LapState(Value, frozen=True):
     passed_at_m: float | None = None  # distance driven at the last passage …
     before_m: float | None = None  # … and at the one before it
     sighted: bool = False  # at the last one the line was where its gate had been seen right before
+    due_m: float = math.inf  # distance driven at which a line that is only assumed would be passed first
 
     @property
     def laps(self) -> int:
@@ -80,7 +83,8 @@ def staged(motion: Motion, line_ahead_m: float) -> LapState:
             motion.yaw_rad,
             seen=False,
             at_distance_m=motion.distance_m,
-        )
+        ),
+        due_m=motion.distance_m + line_ahead_m,
     )
 
 
@@ -120,6 +124,10 @@ def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
     blind_m = max(0.0, motion.distance_m - state.line.at_distance_m)
     within = 3.0 + 0.02 * blind_m
     turned = abs(math.remainder(motion.yaw_rad - state.line.yaw_rad, 2.0 * math.pi))
+    if state.passages == 0 and not state.line.seen and motion.distance_m > state.due_m + OVERDUE_M:
+        # The car was staged in a bend: the line that it assumed is beside its lane.
+        missed = GateLine(motion.x_m, motion.y_m, motion.yaw_rad, seen=False, at_distance_m=motion.distance_m)
+        return LapState(missed, 1, passed_at_m=motion.distance_m)
     if abs(left) > within or turned > math.radians(60.0):
         return replace(state, armed=False) if state.armed and abs(left) > within + 3.0 else state
     if -ARMING_M < ahead < -BEFORE_M:

@@ -38,8 +38,9 @@ inside radius: the sharpest that the rules allow, and some sharper). drive --tra
 takes what is named here.
 {fill(f"Files: {FILES} (YAML needs PyYAML).", 82)}
 The line is at the file's timing posts, else at its gate of big orange cones, else
-{BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between its rings. The car starts
-at the file's car_start, unless its nose is on or past the line there."""
+at one of small ones, else {BEFORE_M:.1f} m ahead of the staged car; a skidpad's is between
+its rings. The car starts at the file's car_start, unless its nose is on or past the
+line there."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +115,7 @@ def _words(facts: Mapping[str, Any]) -> Iterator[str]:
     yield _title(facts)
     yield f"cones: {', '.join(f'{count} {color}' for color, count in facts['cones'].items()) or 'none'}"
     if line := facts["start_line"]:
-        yield f"start line: {_at(line)}, crossed towards {line['yaw_deg']:.0f} deg: {line['known_by']}"
+        yield f"start line: {_at(line)}, crossed towards {round(line['yaw_deg'])} deg: {line['known_by']}"
         yield f"car: {_at(facts['car'])}, its nose {facts['car']['before_line_m']:.1f} m before the line"
     if lane_m := facts["lane_m"]:
         yield f"tightest radius of the middle of the lane: {facts['tightest_radius_m']:.1f} m"

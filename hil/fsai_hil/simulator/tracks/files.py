@@ -22,6 +22,7 @@ TAGS: Final = {color.name.lower(): color for color in ConeColor}
 OTHER_NAMES: Final = {"small_orange": "orange", "orange_big": "big_orange", "time_keeping": "timekeeping"}
 NO_CONES: Final = frozenset({"midpoint", "inactive", "invisible"})
 FURTHEST_M: Final = 10_000.0  # no event's track is as large; degrees times 1e7 or millimetres look like this
+FULL_TURN_RAD: Final = 6.3  # no direction is as large; degrees look like this
 MOST_TAGS: Final = 20  # that are named as skipped
 MOST_CONES: Final = 5_000  # the longest tracks have a tenth of it; borders are found in a time that grows faster
 
@@ -33,20 +34,31 @@ def parse_track(text: str, source: str) -> Track:
     posts: list[Point] = []
     start: Pose | None = None
     skipped: Counter[str] = Counter()
+    seen: set[tuple[float, float, str]] = set()
+    doubled = 0
     notes: list[str] = []
     for at, tag, values in rows_of(text, source, notes.append):
         x, y = number_of(values, 0, "x", at), number_of(values, 1, "y", at)
         if max(abs(x), abs(y)) > FURTHEST_M:
             raise TrackError(f"{at}: {x:g}, {y:g} is further than {FURTHEST_M:g} m from the origin; are these metres?")
-        name = tag.strip().lower().replace("-", "_")
+        name = tag.strip().lower().replace("-", "_").replace(" ", "_")
         name = OTHER_NAMES.get(name, name)
         if name == "car_start":
             if start is not None:
                 raise TrackError(f"{at}: a second car_start")
-            start = Pose(x, y, number_of(values, 2, "direction", at) if len(values) > 2 else 0.0)
+            if len(values) < 3:
+                notes.append("car_start has no direction: it is taken to be 0, along x")
+            yaw_rad = number_of(values, 2, "direction", at) if len(values) > 2 else 0.0
+            if abs(yaw_rad) > FULL_TURN_RAD:
+                raise TrackError(f"{at}: direction is {yaw_rad:g}, more than a full turn; is it in rad?")
+            start = Pose(x, y, yaw_rad)
         elif name == "timekeeping":
             posts.append((x, y))
         elif name in TAGS:
+            if (x, y, name) in seen:
+                doubled += 1
+                continue
+            seen.add((x, y, name))
             points.append((x, y))
             colors.append(TAGS[name])
         elif name not in NO_CONES:
@@ -54,6 +66,8 @@ def parse_track(text: str, source: str) -> Track:
         if len(points) + len(posts) > MOST_CONES:
             raise TrackError(f"{at}: more than {MOST_CONES} cones")
     notes += (f"skipped {count} row{'s' * (count > 1)} with tag {tag!r}" for tag, count in skipped.items())
+    if doubled:
+        notes.append(f"skipped {doubled} cone{'s' * (doubled > 1)} that stood in the file before")
     if not points:
         raise TrackError(f"{source}: no cones")
     colored = np.array(colors, dtype=np.int64)

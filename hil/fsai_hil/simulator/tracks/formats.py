@@ -34,7 +34,7 @@ FSSIM_LISTS: Final = {
 FSSIM_STARTS: Final = {"starting_pose_front_wing": NOSE_M, "starting_pose_cg": COG_M}  # ahead of the rear axle, m
 LAYOUT_MERCHANT_COLORS: Final = ("unknown", "yellow", "blue", "orange", "big_orange")
 BOUNDARIES, CONE_MAP = "boundaries", "cone_map"  # in the names of StarkStrom's two files of a track
-FIRST_TAGS: Final = ("blue", "yellow", "orange", "big_orange", "unknown")  # that a table without a header begins with
+FIRST_TAGS: Final = ("blue", "yellow", "orange", "big_orange", "unknown", "car_start")  # first of a table, no header
 
 Row = tuple[str, str, Sequence[Any]]
 Told = Callable[[str], None]  # takes what a person should know of the file
@@ -46,7 +46,6 @@ class Format:
 
     name: str
     header: tuple[str, ...] = ()
-    columns: tuple[int, ...] = ()  # of a table's row that hold x, y and perhaps the direction
     keys: tuple[str, ...] = ()
     rows: Callable[[Mapping[Any, Any], str], Iterator[Row]] | None = (
         None  # of a mapping and what messages call the file
@@ -60,32 +59,40 @@ def _pacsim_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """PacSim: cones by side with their class, the pose of the centre of gravity, and the posts of the timing."""
     track = found["track"]
     for side in ("left", "right", "unknown"):
-        for number, cone in enumerate(track.get(side) or (), 1):
+        for number, cone in enumerate(_list_in(track, side, f"{source}: track"), 1):
             at = f"{source}: {side} {number}"
-            if not isinstance(cone["class"], str):
-                raise TrackError(f"{at}: class is {shown(cone['class'])}, not a text")
-            yield at, cone["class"], [cone["position"][0], cone["position"][1]]
-    for number, post in enumerate(track.get("time_keeping") or (), 1):
-        yield f"{source}: time_keeping {number}", "timekeeping", [post["position"][0], post["position"][1]]
+            tag = _entry(cone, "class", at)
+            if not isinstance(tag, str):
+                raise TrackError(f"{at}: class is {shown(tag)}, not a text")
+            yield at, tag, _numbers(_entry(cone, "position", at), 2, f"{at}: position")
+    for number, post in enumerate(_list_in(track, "time_keeping", f"{source}: track"), 1):
+        at = f"{source}: time_keeping {number}"
+        yield at, "timekeeping", _numbers(_entry(post, "position", at), 2, f"{at}: position")
     if start := track.get("start"):
-        pose = [start["position"][0], start["position"][1], start["orientation"][2]]
-        yield _staged(pose, COG_M, f"{source}: start")
+        at = f"{source}: start"
+        place, turn = (
+            _numbers(_entry(start, name, at), count, f"{at}: {name}")
+            for name, count in (("position", 2), ("orientation", 3))
+        )
+        yield _staged([*place, turn[2]], COG_M, at)
 
 
 def _fssim_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """fssim: lists of points by colour, and a pose of the front wing or of the centre of gravity."""
     for name, tag in FSSIM_LISTS.items():
-        for number, point in enumerate(found.get(name) or (), 1):
-            yield f"{source}: {name} {number}", tag, [point[0], point[1]]
+        for number, point in enumerate(_list_in(found, name, source), 1):
+            at = f"{source}: {name} {number}"
+            yield at, tag, _numbers(point, 2, at)
     for name, ahead_m in FSSIM_STARTS.items():
         if pose := found.get(name):
-            yield _staged(pose, ahead_m, f"{source}: {name}")
+            at = f"{source}: {name}"
+            yield _staged(_numbers(pose, 3, at), ahead_m, at)
             return
 
 
 def _layout_merchant_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     """layout-merchant: columns of cones with the number of their colour; start and timing line, angles in degrees."""
-    columns = [found[name] for name in ("x", "y", "color")]
+    columns = [_list_in(found, name, source) for name in ("x", "y", "color")]
     if len({len(column) for column in columns}) > 1:
         raise TrackError(f"{source}: x, y and color have {', '.join(str(len(column)) for column in columns)} entries")
     for number, (x, y, color) in enumerate(zip(*columns, strict=True), 1):
@@ -104,9 +111,10 @@ def _layout_merchant_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row
 
 def _turned(found: Mapping[Any, Any], name: str, source: str) -> tuple[float, float, float]:
     """x, y and the direction in rad of what a file has as a position, and an orientation in degrees."""
-    given = [*found[f"{name}_position"][:2], found.get(f"{name}_orientation", 0.0)]
-    x, y, deg = (number_of(given, i, what, f"{source}: {name}") for i, what in enumerate(("x", "y", "orientation")))
-    return x, y, math.radians(deg)
+    at = f"{source}: {name}"
+    given = [*_numbers(found[f"{name}_position"], 2, f"{at}: position"), found.get(f"{name}_orientation", 0.0)]
+    x, y, deg = (number_of(given, i, what, at) for i, what in enumerate(("x", "y", "orientation")))
+    return x, y, math.radians(math.remainder(deg, 360.0))
 
 
 def _starkstrom_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
@@ -119,10 +127,11 @@ def _starkstrom_rows(found: Mapping[Any, Any], source: str) -> Iterator[Row]:
     beside = path.with_name(path.name.replace(BOUNDARIES, CONE_MAP))
     cones = _beside(beside, source)
     for side, tag in (("left", "blue"), ("right", "yellow")):
-        for number in found[side] or ():
-            if number not in cones:
+        for number in _list_in(found, side, source):
+            if type(number) is not int or number not in cones:
                 raise TrackError(f"{source}: {side}: cone {shown(number)} is not in {beside.name}")
-            yield f"{beside}: {number}", tag, [cones[number][0], cones[number][1]]
+            at = f"{beside}: {number}"
+            yield at, tag, _numbers(cones[number], 2, at)
 
 
 def _starkstrom_map_rows(_: Mapping[Any, Any], source: str) -> Iterator[Row]:
@@ -154,10 +163,10 @@ def _staged(pose: Sequence[Any], ahead_m: float, at: str) -> Row:
 
 # ---------------------------------------------------------------- the table
 
-EUFS: Final = Format("CSV of EUFS and FSDS", header=("tag", "x", "y"), columns=(1, 2, 3))
+EUFS: Final = Format("CSV of EUFS and FSDS", header=("tag", "x", "y"))
 FORMATS: Final = (
     EUFS,
-    Format("CSV of EPFL", header=("cone_type", "x", "y"), columns=(1, 2)),
+    Format("CSV of EPFL", header=("cone_type", "x", "y")),
     Format("YAML of PacSim", keys=("track",), rows=_pacsim_rows),
     Format("YAML of fssim", keys=("cones_left",), rows=_fssim_rows),
     Format("JSON of layout-merchant", keys=("x", "y", "color"), rows=_layout_merchant_rows),
@@ -220,7 +229,10 @@ def _yaml_of(text: str, source: str) -> Any:
         finally:
             loader.dispose()
     except yaml.YAMLError as error:
-        raise TrackError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from None
+        mark, *words = (getattr(error, name, None) for name in ("problem_mark", "context", "problem"))
+        at = f"{source}: line {mark.line + 1}" if mark is not None else source
+        why = " ".join(filter(None, words)) or str(error)
+        raise TrackError(f"{at}: not valid YAML: {' '.join(why.split())}") from None
     except TrackError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError) as error:  # of a value that its tag does not fit
@@ -251,30 +263,34 @@ def _table_rows(text: str, source: str, told: Told) -> Iterator[Row]:
     """Yield the rows of a table, by the format that its header names or its columns show."""
     reader = csv.reader(text.splitlines())
     form: Format | None = None
+    columns: tuple[int, ...] = (1, 2, 3)  # that hold x, y and perhaps the direction
+    at, first = f"{source}: line 1", "nothing"
     for row in _whole_rows(reader, source):
-        if not any(column.strip() for column in row):
+        names = [column.strip().lower() for column in row]
+        if not any(names) or names[0].startswith("#"):
             continue
-        head = tuple(column.strip() for column in row[:3])
         at = f"{source}: line {reader.line_num}"
-        header = tuple(column.lower() for column in head)
-        if (named := next((each for each in FORMATS if each.header and each.header == header), None)) is not None:
+        named = next((each for each in FORMATS if each.header and each.header == tuple(names[:3])), None)
+        if named is not None:
             if form is not None:
                 told(f"line {reader.line_num} is a second header: what follows it is taken as part of the same track")
             form = named
+            columns = (1, 2, names.index("direction")) if "direction" in names else (1, 2)
             continue
         if form is None:
-            if reader.line_num > 1 or head[0] not in FIRST_TAGS:  # FSDS's has no header
+            if names[0] not in FIRST_TAGS:  # FSDS's has no header
+                first = repr(text.splitlines()[reader.line_num - 1][:60])
                 break
             form = EUFS
         if len(row) < 3:
-            raise TrackError(f"{at}: {len(row)} columns where at least {', '.join(form.header)} are needed")
-        yield at, head[0], [row[column] for column in form.columns if column < len(row)]
+            count = f"{len(row)} column{'s' * (len(row) > 1)}"
+            raise TrackError(f"{at}: {count} where at least {', '.join(form.header)} are needed")
+        yield at, row[0].strip(), [row[column] for column in columns if column < len(row)]
     else:
         if form is not None:
             return
-    found = repr(text.splitlines()[0][:60]) if text.strip() else "nothing"
     known = " or ".join(f"{','.join(each.header)} ({each.name})" for each in FORMATS if each.header)
-    raise TrackError(f"{source}: line 1: the header must begin with {known} but is {found}")
+    raise TrackError(f"{at}: the header must begin with {known} but is {first}")
 
 
 def _whole_rows(reader: Any, source: str) -> Iterator[list[str]]:
@@ -303,4 +319,30 @@ def number_of(values: Sequence[Any], column: int, name: str, at: str) -> float:
 
 def shown(value: object) -> str:
     """A value from a file, cut to a length that a message can have."""
-    return reprlib.repr(value)
+    return "nothing" if value is None else reprlib.repr(value)
+
+
+def _entry(found: object, key: str, at: str) -> Any:
+    """The value that a mapping has under a key; raises TrackError."""
+    if not isinstance(found, Mapping):
+        raise TrackError(f"{at} is {shown(found)}, not a mapping")
+    if key not in found:
+        raise TrackError(f"{at}: has no {key}")
+    return found[key]
+
+
+def _list_in(found: object, key: str, at: str) -> Sequence[Any]:
+    """The list that a mapping has under a key, an empty one where there is none; raises TrackError."""
+    if not isinstance(found, Mapping):
+        raise TrackError(f"{at} is {shown(found)}, not a mapping")
+    given = found.get(key)
+    if given is not None and not isinstance(given, list):
+        raise TrackError(f"{at}: {key} is {shown(given)}, not a list")
+    return given or ()
+
+
+def _numbers(given: object, count: int, at: str) -> Sequence[Any]:
+    """The first so many entries of a list; raises TrackError where it has fewer."""
+    if not isinstance(given, list) or len(given) < count:
+        raise TrackError(f"{at} is {shown(given)}, not a list of {count} numbers")
+    return given[:count]

@@ -1,8 +1,9 @@
 """Kind, line, start and borders of a track, from the cones of a file.
 
-The line is at the posts of the file's timing; else at its gate of big orange cones; else where the planner lays it, so
-far ahead of the staged car. That of a skidpad is between its two rings. The car is staged at the file's car_start where
-its nose stands before the line there, else as the rules stage it. The borders are found by walking the lane.
+The line is at the posts of the file's timing; else at its gate of big orange cones; on a circuit else at one of small
+ones; else where the planner lays it, so far ahead of the staged car. That of a skidpad is between its two rings. The
+car is staged at the file's car_start where its nose stands before the line there, else as the rules stage it. The
+borders are found by walking the lane.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from fsai_hil.simulator.tracks.layout import (
     SKIDPAD_INNER_DIAMETER_M,
     STAGED_BEFORE_LINE_M,
     TIMING_POSTS,
+    Point,
     Track,
     TrackError,
     TrackKind,
@@ -43,12 +45,16 @@ from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.interface.enums import Ami
 
 GATE_M, POSTS_M = 8.0, 15.0  # no two cones, no two posts of one line stand further apart, be it across the lane
+STRAIGHT_M, STRAIGHT_SHARE = 1.0, 0.8  # so near its borders are so many of the cones beside a straight
+ASTRAY_RAD, BACKWARDS_RAD = math.radians(60.0), math.radians(120.0)  # a car points out of its lane, or the other way
 ACROSS_M = 15.0  # no two cones across the lane stand further apart
 OFF_LANE_M = 6.0  # further from the lane's middle, what is between them is no line of it
 TOUCHING_M = 0.05  # a nose so near before the line is not before it
 UNSEEN_OFF_M = 1.5  # from where the rules stage it, a car at a line that no gate shows may stand further or less far
 BEFORE_M: Final = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS] + NOSE_M  # where the rules stage the rear axle on a circuit
 GATE_BEHIND_M: Final = 15.0  # further behind the car, a gate is not the one that it stands at
+GATE_CONES: Final = "big orange cones"
+SMALL_GATE_CONES: Final = "small orange cones, as no big ones and no timing posts mark it"
 UNMARKED: Final = f"{BEFORE_M:.1f} m ahead of where the car starts, as no gate and no timing posts mark it"
 FIRST_PAIR: Final = "its first pair of cones, as no gate and no timing posts mark it"
 RING_M: Final = SKIDPAD_INNER_DIAMETER_M / 2.0
@@ -67,45 +73,140 @@ def laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> T
     `start` is the file's car_start, `posts_m` (N, 2) are its timing posts. Raises TrackError where nobody knows which
     way the car goes.
     """
+    found = _laid_out(track, start, posts_m, told)
+    given = None if start is None else (start.x_m, start.y_m)
+    if found.car_start is not None and (found.car_start.x_m, found.car_start.y_m) == given:
+        _tell_of_start(found, found.car_start, told)
+    return found
+
+
+def _laid_out(track: Track, start: Pose | None, posts_m: Floats, told: Told) -> Track:
     if (middle := _between_rings(track.cones_xy_m)) is not None:
         return _with_skidpad(track, middle, start, told)
-    gates = _groups(track.cones_xy_m[track.cone_colors == ConeColor.BIG_ORANGE], GATE_M)
+    gates, small_gates = (
+        _groups(track.cones_xy_m[track.cone_colors == color], GATE_M)
+        for color in (ConeColor.BIG_ORANGE, ConeColor.ORANGE)
+    )
     posts = [group for group in _groups(posts_m, POSTS_M) if len(group) > 1]
+    if alone := len(posts_m) - sum(map(len, posts)):
+        told(f"{alone} of its timing posts stand{'s' * (alone == 1)} alone: one post marks no line")
     axis = start if start is not None else _beginning(track, posts or gates)
     if start is None:
-        where = TIMING_POSTS if posts else "gate" if gates else "first pair of cones"
-        told(f"no car_start: the car is staged before the {where}")
-    if (walked := _walked(track, axis)) is not None:
-        return _with_circuit(track, walked, axis, start, (posts, gates), told)
+        told("no car_start: the car is staged before the line")
+    if start is None:
+        walked = _walked(track, axis)
+    else:
+        walked, start = _walked_from(track, start, told)
+        axis = start
+    if walked is not None:
+        return _with_circuit(track, walked, axis, start, (posts, gates, small_gates), told)
     lines = posts if len(posts) >= 2 else gates
     if len(lines) >= 2:
-        first, *_, last = sorted(lines, key=lambda group: float(axis.seen(*group.mean(axis=0))[0]))
-        line, finish = _across(first, axis), last.mean(axis=0).tolist()
-        ahead_m, left_m = line.seen(*track.cones_xy_m.T)
-        beside = (ahead_m > 0.0) & (ahead_m < math.dist((line.x_m, line.y_m), finish))
-        half = float(np.median(np.abs(left_m[beside]))) if beside.any() else LANE_M / 2.0
-        track = with_straight(replace(track, kind=TrackKind.ACCELERATION), (line.x_m, line.y_m), finish, half)
-        return replace(_started(track, start, told), line_by=_marks(first, lines is posts))
+        first, *_, last = sorted(lines, key=lambda group: math.hypot(*axis.seen(*group.mean(axis=0))))
+        line = _across(first, axis)
+        straight = _with_straight(track, line, last.mean(axis=0).tolist())
+        if straight is not None:
+            return replace(
+                _started(straight, start, told), line_by=_marks(first, TIMING_POSTS if lines is posts else GATE_CONES)
+            )
     # Cones that make no circuit which can be walked.
-    told("its cones make no closed lane: laps are counted at the line alone, and nothing is off course")
+    told(
+        f"its cones make no closed lane{' ahead of car_start' * (start is not None)}: "
+        "laps are counted at the line alone, and nothing is off course"
+    )
     ahead = [group for group in posts or gates if axis.seen(*group.T)[0].max() > 0.0]
     if ahead:
-        group = _first(ahead, axis)
-        return _started(with_line(track, _across(group, axis), _marks(group, bool(posts))), start, told)
+        group = min(ahead, key=lambda each: math.hypot(*axis.seen(*each.mean(axis=0))))
+        return _started(
+            with_line(track, _across(group, axis), _marks(group, TIMING_POSTS if posts else GATE_CONES)), start, told
+        )
     line, by = (_staged_line(start), UNMARKED) if start is not None else (axis, FIRST_PAIR)
     return replace(with_line(track, line, by), car_start=start)
 
 
-def _marks(group: Floats, posts: bool) -> str:
+def _with_straight(track: Track, line: Pose, finish: Point) -> Track | None:
+    """The track with the straight from a line to the finish; None where the cones beside the way make no straight."""
+    from_xy = line.x_m, line.y_m
+    axis = Pose(*from_xy, math.atan2(finish[1] - from_xy[1], finish[0] - from_xy[0]))
+    ahead_m, left_m = axis.seen(*track.cones_xy_m.T)
+    beside_m = np.abs(left_m[(ahead_m > 0.0) & (ahead_m < math.dist(from_xy, finish))])
+    half_m = float(np.median(beside_m)) if len(beside_m) else LANE_M / 2.0
+    if np.count_nonzero(np.abs(beside_m - half_m) < STRAIGHT_M) < STRAIGHT_SHARE * len(beside_m):
+        return None
+    return with_straight(replace(track, kind=TrackKind.ACCELERATION), from_xy, finish, half_m)
+
+
+def _walked_from(track: Track, start: Pose, told: Told) -> tuple[tuple[Floats, Floats, Floats] | None, Pose]:
+    """The lane walked from car_start, and where the car stands: turned into the lane where it points across it."""
+    walked, into = _walked(track, start), _into_the_lane(track, start)
+    if into is None:
+        return walked, start
+    walked = walked or _walked(track, into)
+    if walked is None:
+        return None, start
+    middle = smoothed(resampled_ring(walked[2], 0.25), 2.0)
+    there = _at(middle, _on(middle, start.x_m, start.y_m))
+    yaw_rad = math.remainder(there.yaw_rad if _left_of(there, walked[0]) else there.yaw_rad + math.pi, 2.0 * math.pi)
+    off_rad = abs(math.remainder(start.yaw_rad - yaw_rad, 2.0 * math.pi))
+    if off_rad > BACKWARDS_RAD:  # the lane may be driven so
+        return walked, start
+    turned = _turned_into(start, yaw_rad, told)
+    return _walked(track, turned) or walked, turned
+
+
+def _turned_into(start: Pose, yaw_rad: float, told: Told) -> Pose:
+    """The car_start, turned into a lane of that direction where it points out of it."""
+    off_rad = abs(math.remainder(start.yaw_rad - yaw_rad, 2.0 * math.pi))
+    if off_rad <= ASTRAY_RAD:
+        return start
+    told(f"car_start points {math.degrees(off_rad):.0f} deg out of the lane: the car is turned into it")
+    return Pose(start.x_m, start.y_m, yaw_rad)
+
+
+def _into_the_lane(track: Track, start: Pose) -> Pose | None:
+    """The start, turned so that blue cones are left and yellow ones right of it; None away from such cones."""
+    at = np.array((start.x_m, start.y_m))
+    blue, yellow = (
+        _nearest(track.cones_xy_m[track.cone_colors == color], at)[:2] for color in (ConeColor.BLUE, ConeColor.YELLOW)
+    )
+    if any(len(side) == 0 or math.dist(side[0], at) > ACROSS_M for side in (blue, yellow)):
+        return None
+    x, y = blue.mean(axis=0) - yellow.mean(axis=0)
+    return Pose(start.x_m, start.y_m, math.atan2(y, x) - math.pi / 2.0)
+
+
+def _spans(group: Floats, there: Pose) -> bool:
+    """Return whether cones stand on both sides of a place on the lane, and no further along it than those of a gate."""
+    ahead_m, left_m = there.seen(*group.T)
+    return bool(left_m.min() < 0.0 < left_m.max() and np.ptp(ahead_m) < GATE_DEPTH_M)
+
+
+def _left_of(there: Pose, border: Floats) -> bool:
+    """Return whether a border is left of a place on the lane and its direction there."""
+    return bool(there.seen(*border[_on(border, there.x_m, there.y_m)])[1] > 0.0)
+
+
+def _tell_of_start(track: Track, start: Pose, told: Told) -> None:
+    """Tell where the car stands as the file has it, if that is away from the cones or out of the lane."""
+    away_m = float(np.hypot(*(track.cones_xy_m - (start.x_m, start.y_m)).T).min())
+    if away_m > ACROSS_M:
+        told(f"car_start is {away_m:.0f} m from the nearest cone")
+    elif not track.on_lane(start.x_m, start.y_m):
+        told("car_start is not between the borders")
+
+
+def _marks(group: Floats, what: str) -> str:
     """The mark of a line, in words."""
     count = len(group)
-    return f"{count} {TIMING_POSTS}" if posts else f"its gate of {count} big orange cone{'s' * (count > 1)}"
+    return f"{count} {what}" if what == TIMING_POSTS else f"its gate of {count} {what if count > 1 else what[:-1]}"
 
 
 def _started(track: Track, start: Pose | None, told: Told) -> Track:
     """The track with the car at the file's car_start, if its nose is before the line there."""
     line = track.start_line
     assert line is not None  # callers have laid it
+    if start is not None:
+        start = _turned_into(start, line.yaw_rad, told)
     past_m = -math.inf if start is None else float(line.seen(*start.ahead(NOSE_M))[0])
     if past_m <= -TOUCHING_M:
         return replace(track, car_start=start)
@@ -189,26 +290,32 @@ def _with_circuit(
     walked: tuple[Floats, Floats, Floats],
     axis: Pose,
     start: Pose | None,
-    lines: tuple[Sequence[Floats], Sequence[Floats]],
+    lines: tuple[Sequence[Floats], Sequence[Floats], Sequence[Floats]],
     told: Told,
 ) -> Track:
-    """The track with the lane that was walked. `lines`: groups of timing posts and of big orange cones."""
+    """The track with the lane that was walked. `lines`: groups of timing posts, of big and of small orange cones."""
     left, right, middle = walked
     middle = smoothed(resampled_ring(middle, 0.25), 2.0)
     count = len(middle)
     nose = _on(middle, *(axis if start is None else Pose(*start.ahead(NOSE_M))).ahead(0.0))
     found: list[tuple[Pose, str]] = []
-    for groups in lines:
+    for groups, what in zip(lines, (TIMING_POSTS, GATE_CONES, SMALL_GATE_CONES), strict=True):
+        small = what == SMALL_GATE_CONES
         of_lane: list[tuple[int, Floats]] = []  # how many points from the nose, either way
         for group in groups:
             x, y = group.mean(axis=0).tolist()
-            if math.dist(middle[_on(middle, x, y)], (x, y)) < OFF_LANE_M:
-                steps = abs(_on(middle, x, y) - nose)
+            at = _on(middle, x, y)
+            if math.dist(middle[at], (x, y)) < OFF_LANE_M and not (
+                small and (found or not _spans(group, _at(middle, at)))
+            ):
+                steps = abs(at - nose)
                 of_lane.append((min(steps, count - steps), group))
         if of_lane:
             group = min(of_lane, key=lambda each: each[0])[1]
             there = _at(middle, _on(middle, *group.mean(axis=0).tolist()))
-            found.append((_across(group, there), _marks(group, groups is lines[0])))
+            found.append((_across(group, there), _marks(group, what)))
+        elif groups and not small:
+            told(f"its {what} stand more than {OFF_LANE_M:g} m from the middle of the lane: they mark no line")
     if not found:
         found = [(axis, FIRST_PAIR)] if start is None else [(_staged_line(start), UNMARKED)]
     apart_m = math.dist(*((line.x_m, line.y_m) for line, _ in found[:2])) if len(found) > 1 else 0.0
@@ -217,14 +324,19 @@ def _with_circuit(
     line, by = found[0]
     index = _on(middle, line.x_m, line.y_m)
     middle = np.roll(middle, -index, axis=0)
-    track = with_circuit(track, _at(middle, 0), middle, left, right, by)
+    there = _at(middle, 0)  # the line is across the lane, and as far along it as its mark
+    line = Pose(*there.ahead(float(there.seen(line.x_m, line.y_m)[0])), there.yaw_rad)
+    if not _left_of(there, left):
+        told("its blue cones stand right of the car's way: by the rules they are its left border")
+    track = with_circuit(track, line, middle, left, right, by)
     assert track.start_line is not None  # with_circuit has laid it
     step_m = track.length_m / count
     past_m = ((nose - index + count // 2) % count - count // 2) * step_m
     if start is not None and abs(past_m) < BEFORE_M:  # more exactly than by points of the line
         past_m = float(track.start_line.seen(*start.ahead(NOSE_M))[0])
     staged_m = STAGED_BEFORE_LINE_M[Ami.AUTOCROSS]
-    unseen = len(found) == 1 and by.endswith(TIMING_POSTS)  # a planner takes it to be where the rules have it
+    # A planner takes a line that no big orange cones show to be where the rules have it.
+    unseen = len(found) == 1 and by.endswith((TIMING_POSTS, SMALL_GATE_CONES))
     if start is not None and past_m <= -TOUCHING_M and not (unseen and abs(past_m + staged_m) > UNSEEN_OFF_M):
         return replace(track, car_start=start)
     if start is not None:
@@ -320,7 +432,9 @@ def _with_skidpad(track: Track, middle: Pose, start: Pose | None, told: Told) ->
     """The rules' skidpad, laid over the cones of a file."""
     if start is None:
         told("no car_start: the car is staged before the rings")
-    way_in = math.cos(start.yaw_rad - middle.yaw_rad) if start is not None else _way_in(track, middle)
+    way_in = _way_in(track, middle) if start is None else math.cos(start.yaw_rad - middle.yaw_rad)
+    if start is not None and abs(way_in) < math.cos(ASTRAY_RAD):  # it comes in from where it stands
+        way_in = -float(middle.seen(start.x_m, start.y_m)[0])
     origin = middle if way_in > 0.0 else Pose(middle.x_m, middle.y_m, middle.yaw_rad + math.pi)
     origin = Pose(origin.x_m, origin.y_m, math.remainder(origin.yaw_rad, 2.0 * math.pi))
     ideal = skidpad_track()
