@@ -135,17 +135,18 @@ def pcap(link: int = 227, order: str = "<") -> bytes:
     return whole
 
 
-def pcapng() -> bytes:
-    def block(kind: int, body: bytes) -> bytes:
-        body += bytes(-len(body) % 4)
-        size = struct.pack("<L", len(body) + 12)
-        return struct.pack("<L", kind) + size + body + size
+def pcapng_block(kind: int, body: bytes) -> bytes:
+    body += bytes(-len(body) % 4)
+    size = struct.pack("<L", len(body) + 12)
+    return struct.pack("<L", kind) + size + body + size
 
-    begin = block(0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
-    begin += block(1, struct.pack("<HHLHH4s", 227, 0, 0, 2, 4, b"can0"))
+
+def pcapng() -> bytes:
+    begin = pcapng_block(0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
+    begin += pcapng_block(1, struct.pack("<HHLHH4s", 227, 0, 0, 2, 4, b"can0"))
     stamps = (T0_S * 1_000_000 + n * 10_000 for n in range(len(ROWS)))
     return begin + b"".join(
-        block(6, struct.pack("<LLLLL", 0, us >> 32, us & 0xFFFFFFFF, 16, 16) + packet)
+        pcapng_block(6, struct.pack("<LLLLL", 0, us >> 32, us & 0xFFFFFFFF, 16, 16) + packet)
         for us, packet in zip(stamps, packets(), strict=True)
     )
 
@@ -160,11 +161,11 @@ def database(script: str, messages: Iterable[tuple[object, ...]]) -> bytes:
         return path.read_bytes()
 
 
-def sqlite_db() -> bytes:
+def sqlite_db(*more: tuple[object, ...]) -> bytes:
     return database(
         "CREATE TABLE messages (ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, "
         "error INTEGER, dlc INTEGER, data BLOB)",
-        [(T0_S + n * 0.01, i, 0, 0, 0, len(d), d) for n, (i, d) in enumerate(ROWS)],
+        [*((T0_S + n * 0.01, i, 0, 0, 0, len(d), d) for n, (i, d) in enumerate(ROWS)), *more],
     )
 
 
@@ -392,7 +393,8 @@ BLF_ERRORS = {
     73: struct.pack("<HHLBBBxLLH2x8s", 1, 0, 1, 0x80, 0, 0, 0, 0, 0, b""),
     104: bytes(40),
 }
-PCAP_ERROR = struct.pack("<LLLL", T0_S, 300_000, 16, 16) + struct.pack(">LBBxx8s", 0x20000040, 8, 0, b"")
+BUS_OFF = struct.pack(">LBBxx8s", 0x20000040, 8, 0, b"")
+PCAP_ERROR = struct.pack("<LLLL", T0_S, 300_000, 16, 16) + BUS_OFF
 BAD_BUS: dict[str, str | bytes] = {
     **{f"ASC {row}": asc(end=f"   0.300000 {row}\n") for row in ASC_ERRORS},
     **{f"BLF {kind}": blf([*blf_frames(), blf_object(kind, 30, body)]) for kind, body in BLF_ERRORS.items()},
@@ -483,6 +485,22 @@ LOSSES: dict[str, tuple[str | bytes, int, str]] = {  # the content, how many fra
     "BLF with an object of no version": (blf([FIRST, VERSION_9]), 1, "version 9"),
     "BLF with less than it announces": (blf()[:32] + b"\x63\0\0\0" + blf()[36:], 24, "24 of 99 objects are there"),
     "ASC without its block's end": (asc(f"{ASC_HEAD}Begin Triggerblock {DATE}\n"), 24, "trigger block has no end"),
+    **{
+        f"{what} with an error at a time that is none": (content, 24, "no time")
+        for what, content in {
+            "python-can CSV": TEXTS["python-can CSV"] + "999999999999999999.0,0x40,0,0,1,8,AAAAAAAAAAA=\n",
+            "python-can CSV, negative,": TEXTS["python-can CSV"] + "-9.0,0x40,0,0,1,8,AAAAAAAAAAA=\n",
+            "pcapng": pcapng() + pcapng_block(6, struct.pack("<LLLLL", 0, 1 << 31, 0, 16, 16) + BUS_OFF),
+            "BLF": blf(
+                [
+                    *blf_frames(),
+                    blf_object(73, 1 << 40, struct.pack("<HHLBBBxLLH2x8s", 1, 0, 0, 0, 0, 0, 0, 64, 0, b"")),
+                ]
+            ),
+        }.items()
+    },
+    "SQLite with a number for data": (sqlite_db((0.5, 0x520, 0, 0, 0, 8, 1 << 40)), 24, "row 25 is left out: no data"),
+    "SQLite without a time": (sqlite_db((None, 0x520, 0, 0, 0, 8, b"")), 24, "row 25 is left out: no time: None"),
     "pcap cut in a packet": (pcap()[:-3], 23, "cut off"),
     "pcapng with a block of length 0": (pcapng() + bytes(8), 24, "a block of length 0"),
     **{

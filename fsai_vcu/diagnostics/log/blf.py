@@ -28,6 +28,7 @@ from fsai_vcu.diagnostics.log.rows import (
     error_frame,
     frame_of,
     state_frame,
+    told_error,
 )
 
 MAGIC: Final = b"LOGG"
@@ -269,7 +270,7 @@ def _bad(kind: int, t_ns: int, content: bytes, at: int) -> LogFrame:
     if kind == _ERROR_2:
         _, _, valid, code, _, dlc, _, can_id, _, data = _ERROR_EXT.unpack_from(content, at)
         if not valid and can_id & 0x1FFF_FFFF:  # as python-can writes what SocketCAN says
-            return LogFrame(t_ns, _channel(number), can_id & 0x1FFF_FFFF, data[: min(dlc, 8)], error=True)
+            return told_error(t_ns, _channel(number), can_id, data[: min(dlc, 8)])
         if valid & 1:
             return error_frame(t_ns, _channel(number), PROTOCOL | BUS_ERROR, protocol=_VIOLATIONS[code >> 6])
     return error_frame(t_ns, _channel(number), BUS_ERROR)

@@ -8,7 +8,7 @@ from typing import IO, Final
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
-from fsai_vcu.diagnostics.log.rows import frame_of
+from fsai_vcu.diagnostics.log.rows import frame_of, told_error
 
 PCAP: Final = {  # byte order, and the unit of the fraction of a second
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
@@ -69,7 +69,7 @@ def _frame(t_ns: int, channel: str, packet: bytes, order: str, sent: bool | None
     data = packet[8 : 8 + length]
     fd = bool(marks & 4) or len(packet) == 72
     if number & 0x2000_0000:
-        return LogFrame(t_ns, channel, number & 0x1FFF_FFFF, data[:8], error=True, sent=sent)
+        return told_error(t_ns, channel, number, data, sent)
     extended, remote = bool(number >> 31), bool(number >> 30 & 1)
     can_id = number & (0x1FFF_FFFF if extended else 0x7FF)
     brs, esi = fd and bool(marks & 1), fd and bool(marks & 2)

@@ -170,6 +170,13 @@ def error_frame(
     return LogFrame(t_ns, channel, kinds, data, error=True)
 
 
+def told_error(t_ns: int, channel: str, number: int, data: bytes, sent: bool | None = None) -> LogFrame:
+    """Error frame that a log has as SocketCAN gave it: its identifier and its data. Raises ValueError."""
+    if not 0 <= t_ns <= MAX_NS:
+        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+    return LogFrame(t_ns, channel, number & MAX_EXTENDED_ID, data[:MAX_CLASSIC_DLC], error=True, sent=sent)
+
+
 def state_frame(t_ns: int, channel: str, sent: int, received: int) -> LogFrame:
     """An error frame by a controller's error counters; 256 of the first is bus-off."""
     most = max(sent, received)

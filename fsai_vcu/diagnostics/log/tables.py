@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
-from fsai_vcu.diagnostics.log.rows import Rows, frame_of, ns_of
+from fsai_vcu.diagnostics.log.rows import Rows, frame_of, ns_of, told_error
 from fsai_vcu.interface.units import MS, S
 
 _Row = dict[str, str]
@@ -100,7 +100,7 @@ class TableRows(Rows):
             raise ValueError("not a row of this table") from None
         t_ns = ns_of(row[table.time], table.unit_ns)
         if row.get("error", "0").lower() in ("1", "true"):
-            return LogFrame(t_ns, "can0", int(row[table.id], 16) & 0x1FFF_FFFF, data[:8], error=True)
+            return told_error(t_ns, "can0", int(row[table.id], 16), data)
         remote = row.get("remote", row.get("rtr", "0")).lower() in ("1", "true")
         fd = row.get("edl", "0") == "1" or length > 8
         bus = row.get("bus", row.get("buschannel", "0"))
