@@ -385,10 +385,13 @@ ASC_ERRORS = (
     "CAN 1 Status:chip status error busoff",
     "CAN 1 Status:chip status warning level",
     "CAN 2 Status:chip status error passive",
+    "1  Statistic: D 1 R 0 XD 0 XR 0 E 12 O 0 B 1.5%",
+    "1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 1 B 1.5%",
 )
 BLF_ERRORS = {
     2: struct.pack("<HHL", 1, 0, 0),
     3: struct.pack("<HHL", 1, 0, 0),
+    4: struct.pack("<HH6L4x", 1, 100, 9, 0, 0, 0, 12, 0),
     31: struct.pack("<HBBL", 1, 255, 0, 0x68),
     73: struct.pack("<HHLBBBxLLH2x8s", 1, 0, 1, 0x80, 0, 0, 0, 0, 0, b""),
     104: bytes(40),
@@ -404,6 +407,8 @@ BAD_BUS: dict[str, str | bytes] = {
     "TRC Error": trc("1.1", "  25)  250.0 Error 0008 4 00 19 08 08\n"),
     "BusMaster": TEXTS["BusMaster"] + "14:15:00:3000 Rx 1 0x0 err\n",
     "pcap": pcap() + PCAP_ERROR,
+    "CRTD": TEXTS["CRTD"] + f"{T0_S}.300000 1CER Error intr=5 rxpkt=7 errflags=0x1 rxerr=130 txerr=0 rxovr=0\n",
+    "CRTD sent in vain": TEXTS["CRTD"] + f"{T0_S}.300000 1CER TX_Fail T11 510 01 02\n",
 }
 
 
@@ -479,6 +484,7 @@ LOSSES: dict[str, tuple[str | bytes, int, str]] = {  # the content, how many fra
     "SQLite without pages": (b"SQLite format 3\0" + bytes(84), 0, "not readable as SQLite"),
     "bag of texts": (bag("std_msgs/msg/String"), 0, "without a topic of can_msgs/Frame: record the bus itself"),
     "TRC 4.0": (";$FILEVERSION=4.0\n 1 0.0 DT 1 0520 Rx - 1 00\n", 0, "TRC version 4.0 is not read: save it as 2.1"),
+    "TRC overrun": (trc("2.1", "  25  250.000 ST 1 Rx - 4 00 00 00 02\n"), 24, "line 28: frames were lost here"),
     "no log": (b"\x00\x01\x02" * 50, 0, "no format of a log that is read"),
     "BLF of a logger that died": (blf(closed=False), 24, "did not close it"),
     "BLF with an object of length 0": (blf([FIRST, LENGTH_0]), 1, "after frame 1: an object of length 0"),
@@ -684,6 +690,28 @@ def test_frames_that_candump_dropped_make_the_verdict_unknown(
     assert "unknown: 38 frames lost in this machine's receive buffer" in capsys.readouterr().out
 
 
+BLF_LOST = [blf_object(125, 30, bytes(4)), blf_object(126, 31, struct.pack("<LQL", 0, 0, 37))]
+DROPPED = [pcapng_block(5, struct.pack("<LLLHHQHHQ", 0, 0, 0, 5, 8, few, 7, 8, 30)) for few in (3, 7)]
+OVERRUNS = "".join(f"{T0_S}.300000 1CST Status rxpkt=7 rxovr={count} txovr=0\n" for count in (30, 37))
+TOLD_LOST: dict[str, tuple[str | bytes, int]] = {  # by the logger: how many
+    "BLF": (blf([*blf_frames(), *BLF_LOST]), 37),
+    "BLF without the loss's end": (blf([*blf_frames(), BLF_LOST[0]]), 1),
+    "BLF overrun": (blf([*blf_frames(), blf_object(91, 30, bytes(8))]), 1),
+    "pcapng": (pcapng() + b"".join(DROPPED), 37),
+    "CRTD": (TEXTS["CRTD"] + OVERRUNS, 37),
+}
+
+
+@pytest.mark.parametrize("what", TOLD_LOST)
+def test_a_logger_that_lost_frames_makes_the_verdict_unknown(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content, lost = TOLD_LOST[what]
+    assert_whole(*given(tmp_path / "run.any", content))
+    assert main(["check", str(tmp_path / "run.any")]) == 1
+    assert f"unknown: {lost} frame" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("line", [" ({t})  can0  520   [2]  01 A5", "({t}) can0 520#01A5"])
 def test_differences_of_candump_are_added_up(line: str, tmp_path: Path) -> None:
     steps_us = [0, 0, 0, 0, 0, 0, 0, 10_000] * 50
@@ -742,6 +770,63 @@ def test_mf4_frames_are_what_their_own_conversions_say(
     assert {(frame.channel, frame.extended, frame.sent) for frame in frames} == {
         (f"can{int(virtual.get('BusChannel', 1))}", False, bool(virtual.get("Dir", 0)))
     }
+
+
+def mf4(path: Path, **groups: dict[str, Any]) -> tuple[list[LogFrame], Log]:
+    """Groups of ROWS by their kinds, each with fields that are changed: another column, or none."""
+    import asammdf  # slow to import
+
+    with asammdf.MDF(version="4.10") as made:
+        for kind, changed in groups.items():
+            lengths = [len(data) for _, data in ROWS]
+            columns: dict[str, Any] = {
+                "ID": np.array([can_id for can_id, _ in ROWS], "<u4"),
+                "DLC": np.array(lengths, "u1"),
+                "DataLength": np.array(lengths, "u1"),
+                "DataBytes": np.array([list(data.ljust(8, b"\0")) for _, data in ROWS], "u1"),
+                "BusChannel": np.ones(len(ROWS), "u1"),
+            } | changed
+            fields = {f"{kind}.{name}": column for name, column in columns.items() if column is not None}
+            kinds = [(name, column.dtype, column.shape[1:]) for name, column in fields.items()]
+            records = np.zeros(len(ROWS), kinds)
+            for name, column in fields.items():
+                records[name] = column
+            made.append([asammdf.Signal(records, np.arange(len(ROWS)) / 100, name=kind)])
+        made.save(path, overwrite=True)
+    with open_log(path) as log:
+        return list(log.frames()), log
+
+
+def test_mf4_errors_and_overloads_are_errors_of_the_bus(tmp_path: Path) -> None:
+    frames, log = mf4(tmp_path / "run.mf4", CAN_DataFrame={}, CAN_ErrorFrame={}, CAN_OverloadFrame={})
+    assert (log.problems.texts, of(frames)) == ([], ROWS)
+    errors = [frame for frame in frames if frame.error]
+    assert [frame.can_id for frame in errors] == [0x80, 0x08] * len(ROWS)  # bus error, protocol violation
+    assert {frame.data[2] for frame in errors if frame.can_id == 0x08} == {0x20}  # overload
+
+
+def test_mf4_frames_that_cannot_be_are_left_out_and_said(tmp_path: Path) -> None:
+    ids, lengths = np.full(len(ROWS), 0x514, "<u4"), np.full(len(ROWS), 2, "u1")
+    ids[3], lengths[5] = 0x900, 200
+    frames, log = mf4(tmp_path / "run.mf4", CAN_DataFrame={"ID": ids, "DataLength": lengths})
+    assert (len(frames), log.problems.count) == (len(ROWS) - 2, 2)
+    assert "frame 4, 0x900 of 2 bytes, cannot be one" in log.problems.texts[0]
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"DataLength": None}, ""),
+        ({"ID": None}, "its frames have no ID"),
+        ({"DataBytes": None}, "its frames have no DataBytes"),
+        ({"BusChannel": np.full(len(ROWS), 1 << 31, "<u4")}, "an invalid number of a bus"),
+    ],
+    ids=["DataLength", "ID", "DataBytes", "BusChannel"],
+)
+def test_mf4_without_a_field_is_read_or_refused(changed: dict[str, Any], words: str, tmp_path: Path) -> None:
+    frames, log = mf4(tmp_path / "run.mf4", CAN_DataFrame=changed)
+    assert of(frames) == ([] if words else ROWS)
+    assert words in log.problems.summary() and bool(words) == bool(log.problems)
 
 
 # ---------------------------------------------------------------- folders

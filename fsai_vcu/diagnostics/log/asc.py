@@ -25,6 +25,7 @@ from fsai_vcu.diagnostics.log.rows import (
     Pattern,
     Rows,
     bytes_of,
+    counted_errors,
     error_frame,
     frame_of,
     ns_of,
@@ -54,6 +55,7 @@ _NO_FRAMES: Final = re.compile(
     r"\S+\s*:=|//|;|\d+\s+(statistic|j1939|bus|//)",
     re.IGNORECASE,
 )
+_STATISTICS: Final = re.compile(r"statistic: .*\be (\d{1,10}) o (\d{1,10})\b")  # error frames, overload frames
 _STATES: Final = (
     ("busoff", BUS_OFF, 0),
     ("bus off", BUS_OFF, 0),
@@ -161,6 +163,8 @@ class AscRows(Rows):
                 return error_frame(self._at_ns, channel, PROTOCOL, protocol=OVERLOAD)
             if "status:" in lower:
                 return self._state(channel, lower)
+            if (counted := _STATISTICS.search(lower)) and (int(counted[1]) or int(counted[2])):
+                return counted_errors(self._at_ns, channel, int(counted[1]))
             if len(words) > 3 and words[2].lower() in ("rx", "tx", "txrq", "txerr"):
                 return self._classic(channel, words)
         if lower.startswith("start of measurement"):
