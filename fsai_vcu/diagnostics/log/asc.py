@@ -44,6 +44,7 @@ _PLAIN = re.compile(
     rb"(?P<way>[RT])x +d (?P<length>[0-8])"
 )
 _TAIL: Final = b"  Length = "  # what Vector's tools write behind the data
+_BYTE = {16: re.compile(r"[0-9A-Fa-f]{2}"), 10: re.compile(r"\d{1,3}")}  # by the base of the numbers
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,6}))?\s*([ap])?\.?m?\.?\b", re.IGNORECASE)
 # By the first letters in English, German, French, Italian, Spanish, Portuguese; ? is a letter that was garbled.
 _MONTHS: Final = (
@@ -191,6 +192,8 @@ class AscRows(Rows):
         if not WAYS.keys().isdisjoint(word.lower() for word in words[5:]):
             raise ValueError("two rows in one line")
         data = b"" if remote else bytes_of(words[5 : 5 + length], self._base)
+        if not remote and len(words) > 5 + length and _BYTE[self._base].fullmatch(words[5 + length]):
+            raise ValueError(f"more data bytes than the {length} that are announced")
         frame = frame_of(
             self._at_ns, channel, id_text, data, length,
             base=self._base, extended=extended, remote=remote, sent=WAYS.get(way),
