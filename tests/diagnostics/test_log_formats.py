@@ -193,6 +193,8 @@ TEXTS: dict[str, str] = {
     **{f"TRC {version}": trc(version) for version in TRC_ROWS},
     "GVRET": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
     + rows("{us},{i:08X},false,Rx,0,{l},{d},\n").replace(" ", ","),
+    "GVRET of a spreadsheet": '"Time Stamp";"ID";"Extended";"Dir";"Bus";"LEN";D1;D2;D3;D4;D5;D6;D7;D8\n'
+    + rows('"{us}";"{i:X}";"false";"Rx";"0";"{l}";{d}\n').replace(" ", ";").replace("Time;Stamp", "Time Stamp"),
     "python-can CSV": rows("{t},0x{i:X},0,0,0,{l},{b}\n", "timestamp,arbitration_id,extended,remote,error,dlc,data\n"),
     "cabana CSV": rows("{t},0x{i:X},0,0x{x}\n", "time,addr,bus,data\n"),
     "CANedge CSV": rows(
@@ -270,11 +272,13 @@ def tar_of_one() -> bytes:
     return packed.getvalue()
 
 
-def zip_of(*contents: bytes) -> bytes:
+def zip_of(*contents: bytes, beside: Iterable[str] = ()) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for number, content in enumerate(contents):
             archive.writestr(f"run{number}.log", content)
+        for name in beside:
+            archive.writestr(name, b"of the Finder")
     return packed.getvalue()
 
 
@@ -289,6 +293,7 @@ PACKINGS: dict[str, Callable[[bytes], bytes]] = {
     "bz2": bz2.compress,
     "zst": zstd_of,
     "zip": zip_of,
+    "zip of a Mac": lambda content: zip_of(content, beside=("__MACOSX/._run0.log", ".DS_Store")),
 }
 
 
@@ -355,6 +360,12 @@ def test_relative_times_of_asc_are_added_up(tmp_path: Path) -> None:
     frames, log = given(tmp_path / "run.asc", head + pairs + "End TriggerBlock\n")
     assert (log.problems.texts, of(frames)) == ([], ROWS)
     assert [frame.t_ns - frames[0].t_ns for frame in frames] == [n // 2 * 20_000_000 for n in range(len(ROWS))]
+
+
+def test_times_of_day_of_busmaster_go_on_past_midnight(tmp_path: Path) -> None:
+    night = "".join(f"{time} Rx 1 0x520 s 1 00 \n" for time in ("23:59:59:9900", "0:00:00:0000", "0:00:00:0100"))
+    frames, log = given(tmp_path / "run.log", BUSMASTER_HEAD + night)
+    assert [frame.t_ns - frames[0].t_ns for frame in frames] == [0, 10_000_000, 20_000_000] and not log.problems
 
 
 def test_what_is_usual_in_other_tools_rows_is_read(tmp_path: Path) -> None:
@@ -468,6 +479,7 @@ ASC_BAD_ROWS = {
     "   0.1 1  EngineData Rx   d 8 01 02 03 04 05 06 07 08": "no identifier: EngineData",
     "   0.1 1  123  Rx   d 8 01 02 ZZ 04 05 06 07 08": "no data bytes",
     "   0.1 1  123  Rx   d 6 1A 07": "2 data bytes where 6 are announced",
+    "   0.1 1  123  Rx   d 2 1A 07 11": "more data bytes than the 2 that are announced",
     "   0.1 1  923  Rx   d 1 1A": "no 11-bit identifier: 923",
     "   0.1 1  something else": "not a row of ASC",
     "what is this": "not a row of ASC",
@@ -479,11 +491,27 @@ VERSION_9 = FIRST[:6] + b"\x09\0" + FIRST[8:]
 LOSSES: dict[str, tuple[str | bytes, int, str]] = {  # the content, how many frames are read, what is said
     "tar": (tar_of_one(), 0, "a tar archive: unpack it first"),
     "zip of two": (zip_of(b"x", b"y"), 0, "a zip archive of 2 files: unpack it first"),
+    "gzip in gzip": (gzip.compress(gzip.compress(b"x" * 50)), 0, "packed twice: unpack it once more"),
+    "lz4": (b"\x04\x22\x4d\x18" + bytes(50), 0, "packed with lz4: unpack it first"),
+    "compress": (b"\x1f\x9d" + bytes(50), 0, "packed with compress: unpack it first"),
+    "lzma": (lzma.compress(b"x" * 50, lzma.FORMAT_ALONE), 0, "packed with lzma: unpack it first"),
+    "UTF-32": (TEXTS["candump"].encode("utf-32"), 0, "text in UTF-32: save it as UTF-8"),
+    "zip cut off": (zip_of(b"x" * 500)[:-30], 0, "cut off, or broken"),
     "MCAP": (b"\x89MCAP0\r\n" + bytes(50), 0, "an MCAP"),
     "MDF 3": (b"MDF     3.30    " + bytes(50), 0, "an MDF older than version 4"),
     "SQLite without pages": (b"SQLite format 3\0" + bytes(84), 0, "not readable as SQLite"),
     "bag of texts": (bag("std_msgs/msg/String"), 0, "without a topic of can_msgs/Frame: record the bus itself"),
     "TRC 4.0": (";$FILEVERSION=4.0\n 1 0.0 DT 1 0520 Rx - 1 00\n", 0, "TRC version 4.0 is not read: save it as 2.1"),
+    "candump with more data than it announces": (
+        TEXTS["candump"] + f" ({T0_S}.300000)  can0  520   [2]  01 02 03\n",
+        24,
+        "3 data bytes where 2 are announced",
+    ),
+    "python-can CSV with a flag that is none": (
+        TEXTS["python-can CSV"] + "5.0,0x40,0,0,2,8,AAAAAAAAAAA=\n",
+        24,
+        "line 26: not a row of this table",
+    ),
     "TRC overrun": (trc("2.1", "  25  250.000 ST 1 Rx - 4 00 00 00 02\n"), 24, "line 28: frames were lost here"),
     "no log": (b"\x00\x01\x02" * 50, 0, "no format of a log that is read"),
     "BLF of a logger that died": (blf(closed=False), 24, "did not close it"),

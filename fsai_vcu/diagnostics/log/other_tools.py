@@ -8,7 +8,17 @@ from typing import Final
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
-from fsai_vcu.diagnostics.log.rows import BUS_ERROR, REQUESTS, Rows, bytes_of, error_frame, frame_of, ns_of, state_frame
+from fsai_vcu.diagnostics.log.rows import (
+    BUS_ERROR,
+    REQUESTS,
+    Rows,
+    bytes_of,
+    error_frame,
+    frame_of,
+    ns_of,
+    state_frame,
+)
+from fsai_vcu.interface.units import S
 
 BUSMASTER: Final = re.compile(r"\*\*\*BUSMASTER", re.IGNORECASE)
 KVASER: Final = re.compile(r"\s*Chn\s+Identifier\s+Flg\s+DLC", re.IGNORECASE)
@@ -91,7 +101,10 @@ class BusmasterRows(Rows):
             raise ValueError(f"no time: {text[:40]}") from None
         time_ns = (hour * _HOUR_S + minute * 60 + second) * 1_000_000_000 + tenths * 100_000
         if self._mode == "system":
-            return self._day_ns + time_ns
+            if self._day_ns + time_ns < self._now_ns - _HOUR_S * S * 12:  # it is past midnight
+                self._day_ns += _HOUR_S * S * 24
+            self._now_ns = self._day_ns + time_ns
+            return self._now_ns
         if self._mode == "absolute":
             return self._begin_ns + time_ns
         self._now_ns += time_ns
