@@ -362,6 +362,15 @@ def test_relative_times_of_asc_are_added_up(tmp_path: Path) -> None:
     assert [frame.t_ns - frames[0].t_ns for frame in frames] == [n // 2 * 20_000_000 for n in range(len(ROWS))]
 
 
+def test_any_name_of_a_channel_is_one_short_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames, _ = given(tmp_path / "run.log", TEXTS["candump"].replace("can0", "c" * 3000))
+    assert {frame.channel for frame in frames} == {"c" * 64}
+    (tmp_path / "run.pcapng").write_bytes(pcapng().replace(b"can0", b"c 0\x1b"))
+    for verb in (["dump", "-L"], ["decode"]):
+        assert main([*verb, str(tmp_path / "run.log")]) == main([*verb, str(tmp_path / "run.pcapng")]) == 0
+    assert " c_0\\x1b 514#" in capsys.readouterr().out
+
+
 def test_times_of_day_of_busmaster_go_on_past_midnight(tmp_path: Path) -> None:
     night = "".join(f"{time} Rx 1 0x520 s 1 00 \n" for time in ("23:59:59:9900", "0:00:00:0000", "0:00:00:0100"))
     frames, log = given(tmp_path / "run.log", BUSMASTER_HEAD + night)
