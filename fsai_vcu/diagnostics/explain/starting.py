@@ -89,7 +89,7 @@ def _never_ready(record: Record) -> Iterator[Incident]:
 
 
 def _reported(record: Record, begin_ns: int, at_ns: int) -> Iterator[Candidate]:
-    """What the car and the remote report at that moment of a stay, beside the conditions of a start."""
+    """Causes that the car and the remote report at that moment of a stay, beside the conditions of a start."""
     for signal in sig.FAULTS:
         if record.at(signal, at_ns):
             rose = record.span_at(signal, at_ns)

@@ -271,7 +271,7 @@ _READ: Final = {
 
 
 def _lost(kind: int, version: int, content: bytes) -> int:
-    """How many frames an object says are missing here; the begin of a loss is one, its end tells the others."""
+    """Number of frames that an object says are missing here; the begin of a loss is one, its end tells the others."""
     if kind != _LOSS_ENDS:
         return 1
     (_, _, count) = _LOST.unpack_from(content, _STAMP.size if version == 1 else _STAMP.size + 8)
