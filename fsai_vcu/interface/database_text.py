@@ -24,6 +24,10 @@ _OF_MESSAGE: Final = re.compile(r"^[ \t]*(BO_TX_BU_|SIG_GROUP_)\s+(\d{1,10})\b[^
 _OF_ATTRIBUTE: Final = re.compile(
     rf'^[ \t]*(BA_|BA_REL_|BA_DEF_DEF_|BA_DEF_DEF_REL_)\s+"(\w+)"[^;"]*(?:{_STRING}[^;"]*)*;', re.MULTILINE
 )
+_ENUM: Final = re.compile(
+    rf'^[ \t]*BA_DEF_\s+(?:\w+_\s+)?"(\w+)"\s+ENUM\s+({_STRING}(?:\s*,\s*{_STRING})*)', re.MULTILINE
+)
+_CHOSEN: Final = re.compile(r"\s(\d{1,10})\s*;\Z")  # the number of a word of such an attribute
 _WORDS: Final = {
     "VAL_": "value tables",
     "SIG_VALTYPE_": "types",
@@ -111,7 +115,14 @@ def without_orphans(text: str) -> tuple[str, str]:
     text = _MESSAGE.sub(message, text)
     text = _OF_SIGNAL.sub(checked("signals", lambda found: found[3] in signals.get(int(found[2]), ())), text)
     text = _OF_MESSAGE.sub(checked("messages", lambda found: int(found[2]) in signals), text)
+    words = {found[1]: len(re.findall(_STRING, found[2])) for found in _ENUM.finditer(text)}
+
+    def is_chosen(found: re.Match[str]) -> bool:
+        number = _CHOSEN.search(found[0]) if found[1] == "BA_" and found[2] in words else None
+        return number is None or int(number[1]) < words[found[2]]
+
     text = _OF_ATTRIBUTE.sub(checked("attributes", lambda found: found[2] in attributes), text)
+    text = _OF_ATTRIBUTE.sub(checked("words of attributes", is_chosen), text)
     parts = []
     for what, names in orphans.items():
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""

@@ -135,17 +135,18 @@ def pcap(link: int = 227, order: str = "<") -> bytes:
     return whole
 
 
-def pcapng() -> bytes:
-    def block(kind: int, body: bytes) -> bytes:
-        body += bytes(-len(body) % 4)
-        size = struct.pack("<L", len(body) + 12)
-        return struct.pack("<L", kind) + size + body + size
+def pcapng_block(kind: int, body: bytes) -> bytes:
+    body += bytes(-len(body) % 4)
+    size = struct.pack("<L", len(body) + 12)
+    return struct.pack("<L", kind) + size + body + size
 
-    begin = block(0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
-    begin += block(1, struct.pack("<HHLHH4s", 227, 0, 0, 2, 4, b"can0"))
+
+def pcapng() -> bytes:
+    begin = pcapng_block(0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
+    begin += pcapng_block(1, struct.pack("<HHLHH4s", 227, 0, 0, 2, 4, b"can0"))
     stamps = (T0_S * 1_000_000 + n * 10_000 for n in range(len(ROWS)))
     return begin + b"".join(
-        block(6, struct.pack("<LLLLL", 0, us >> 32, us & 0xFFFFFFFF, 16, 16) + packet)
+        pcapng_block(6, struct.pack("<LLLLL", 0, us >> 32, us & 0xFFFFFFFF, 16, 16) + packet)
         for us, packet in zip(stamps, packets(), strict=True)
     )
 
@@ -160,11 +161,11 @@ def database(script: str, messages: Iterable[tuple[object, ...]]) -> bytes:
         return path.read_bytes()
 
 
-def sqlite_db() -> bytes:
+def sqlite_db(*more: tuple[object, ...]) -> bytes:
     return database(
         "CREATE TABLE messages (ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, "
         "error INTEGER, dlc INTEGER, data BLOB)",
-        [(T0_S + n * 0.01, i, 0, 0, 0, len(d), d) for n, (i, d) in enumerate(ROWS)],
+        [*((T0_S + n * 0.01, i, 0, 0, 0, len(d), d) for n, (i, d) in enumerate(ROWS)), *more],
     )
 
 
@@ -192,6 +193,8 @@ TEXTS: dict[str, str] = {
     **{f"TRC {version}": trc(version) for version in TRC_ROWS},
     "GVRET": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
     + rows("{us},{i:08X},false,Rx,0,{l},{d},\n").replace(" ", ","),
+    "GVRET of a spreadsheet": '"Time Stamp";"ID";"Extended";"Dir";"Bus";"LEN";D1;D2;D3;D4;D5;D6;D7;D8\n'
+    + rows('"{us}";"{i:X}";"false";"Rx";"0";"{l}";{d}\n').replace(" ", ";").replace("Time;Stamp", "Time Stamp"),
     "python-can CSV": rows("{t},0x{i:X},0,0,0,{l},{b}\n", "timestamp,arbitration_id,extended,remote,error,dlc,data\n"),
     "cabana CSV": rows("{t},0x{i:X},0,0x{x}\n", "time,addr,bus,data\n"),
     "CANedge CSV": rows(
@@ -269,11 +272,13 @@ def tar_of_one() -> bytes:
     return packed.getvalue()
 
 
-def zip_of(*contents: bytes) -> bytes:
+def zip_of(*contents: bytes, beside: Iterable[str] = ()) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for number, content in enumerate(contents):
             archive.writestr(f"run{number}.log", content)
+        for name in beside:
+            archive.writestr(name, b"of the Finder")
     return packed.getvalue()
 
 
@@ -288,6 +293,7 @@ PACKINGS: dict[str, Callable[[bytes], bytes]] = {
     "bz2": bz2.compress,
     "zst": zstd_of,
     "zip": zip_of,
+    "zip of a Mac": lambda content: zip_of(content, beside=("__MACOSX/._run0.log", ".DS_Store")),
 }
 
 
@@ -356,6 +362,21 @@ def test_relative_times_of_asc_are_added_up(tmp_path: Path) -> None:
     assert [frame.t_ns - frames[0].t_ns for frame in frames] == [n // 2 * 20_000_000 for n in range(len(ROWS))]
 
 
+def test_any_name_of_a_channel_is_one_short_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames, _ = given(tmp_path / "run.log", TEXTS["candump"].replace("can0", "c" * 3000))
+    assert {frame.channel for frame in frames} == {"c" * 64}
+    (tmp_path / "run.pcapng").write_bytes(pcapng().replace(b"can0", b"c 0\x1b"))
+    for verb in (["dump", "-L"], ["decode"]):
+        assert main([*verb, str(tmp_path / "run.log")]) == main([*verb, str(tmp_path / "run.pcapng")]) == 0
+    assert " c_0\\x1b 514#" in capsys.readouterr().out
+
+
+def test_times_of_day_of_busmaster_go_on_past_midnight(tmp_path: Path) -> None:
+    night = "".join(f"{time} Rx 1 0x520 s 1 00 \n" for time in ("23:59:59:9900", "0:00:00:0000", "0:00:00:0100"))
+    frames, log = given(tmp_path / "run.log", BUSMASTER_HEAD + night)
+    assert [frame.t_ns - frames[0].t_ns for frame in frames] == [0, 10_000_000, 20_000_000] and not log.problems
+
+
 def test_what_is_usual_in_other_tools_rows_is_read(tmp_path: Path) -> None:
     rows = """\
   -0.5 1  511  Rx d 2 00 01
@@ -384,15 +405,19 @@ ASC_ERRORS = (
     "CAN 1 Status:chip status error busoff",
     "CAN 1 Status:chip status warning level",
     "CAN 2 Status:chip status error passive",
+    "1  Statistic: D 1 R 0 XD 0 XR 0 E 12 O 0 B 1.5%",
+    "1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 1 B 1.5%",
 )
 BLF_ERRORS = {
     2: struct.pack("<HHL", 1, 0, 0),
     3: struct.pack("<HHL", 1, 0, 0),
+    4: struct.pack("<HH6L4x", 1, 100, 9, 0, 0, 0, 12, 0),
     31: struct.pack("<HBBL", 1, 255, 0, 0x68),
     73: struct.pack("<HHLBBBxLLH2x8s", 1, 0, 1, 0x80, 0, 0, 0, 0, 0, b""),
     104: bytes(40),
 }
-PCAP_ERROR = struct.pack("<LLLL", T0_S, 300_000, 16, 16) + struct.pack(">LBBxx8s", 0x20000040, 8, 0, b"")
+BUS_OFF = struct.pack(">LBBxx8s", 0x20000040, 8, 0, b"")
+PCAP_ERROR = struct.pack("<LLLL", T0_S, 300_000, 16, 16) + BUS_OFF
 BAD_BUS: dict[str, str | bytes] = {
     **{f"ASC {row}": asc(end=f"   0.300000 {row}\n") for row in ASC_ERRORS},
     **{f"BLF {kind}": blf([*blf_frames(), blf_object(kind, 30, body)]) for kind, body in BLF_ERRORS.items()},
@@ -402,6 +427,8 @@ BAD_BUS: dict[str, str | bytes] = {
     "TRC Error": trc("1.1", "  25)  250.0 Error 0008 4 00 19 08 08\n"),
     "BusMaster": TEXTS["BusMaster"] + "14:15:00:3000 Rx 1 0x0 err\n",
     "pcap": pcap() + PCAP_ERROR,
+    "CRTD": TEXTS["CRTD"] + f"{T0_S}.300000 1CER Error intr=5 rxpkt=7 errflags=0x1 rxerr=130 txerr=0 rxovr=0\n",
+    "CRTD sent in vain": TEXTS["CRTD"] + f"{T0_S}.300000 1CER TX_Fail T11 510 01 02\n",
 }
 
 
@@ -461,6 +488,7 @@ ASC_BAD_ROWS = {
     "   0.1 1  EngineData Rx   d 8 01 02 03 04 05 06 07 08": "no identifier: EngineData",
     "   0.1 1  123  Rx   d 8 01 02 ZZ 04 05 06 07 08": "no data bytes",
     "   0.1 1  123  Rx   d 6 1A 07": "2 data bytes where 6 are announced",
+    "   0.1 1  123  Rx   d 2 1A 07 11": "more data bytes than the 2 that are announced",
     "   0.1 1  923  Rx   d 1 1A": "no 11-bit identifier: 923",
     "   0.1 1  something else": "not a row of ASC",
     "what is this": "not a row of ASC",
@@ -472,17 +500,50 @@ VERSION_9 = FIRST[:6] + b"\x09\0" + FIRST[8:]
 LOSSES: dict[str, tuple[str | bytes, int, str]] = {  # the content, how many frames are read, what is said
     "tar": (tar_of_one(), 0, "a tar archive: unpack it first"),
     "zip of two": (zip_of(b"x", b"y"), 0, "a zip archive of 2 files: unpack it first"),
+    "gzip in gzip": (gzip.compress(gzip.compress(b"x" * 50)), 0, "packed twice: unpack it once more"),
+    "lz4": (b"\x04\x22\x4d\x18" + bytes(50), 0, "packed with lz4: unpack it first"),
+    "compress": (b"\x1f\x9d" + bytes(50), 0, "packed with compress: unpack it first"),
+    "lzma": (lzma.compress(b"x" * 50, lzma.FORMAT_ALONE), 0, "packed with lzma: unpack it first"),
+    "UTF-32": (TEXTS["candump"].encode("utf-32"), 0, "text in UTF-32: save it as UTF-8"),
+    "zip cut off": (zip_of(b"x" * 500)[:-30], 0, "cut off, or broken"),
     "MCAP": (b"\x89MCAP0\r\n" + bytes(50), 0, "an MCAP"),
     "MDF 3": (b"MDF     3.30    " + bytes(50), 0, "an MDF older than version 4"),
     "SQLite without pages": (b"SQLite format 3\0" + bytes(84), 0, "not readable as SQLite"),
     "bag of texts": (bag("std_msgs/msg/String"), 0, "without a topic of can_msgs/Frame: record the bus itself"),
     "TRC 4.0": (";$FILEVERSION=4.0\n 1 0.0 DT 1 0520 Rx - 1 00\n", 0, "TRC version 4.0 is not read: save it as 2.1"),
+    "candump with more data than it announces": (
+        TEXTS["candump"] + f" ({T0_S}.300000)  can0  520   [2]  01 02 03\n",
+        24,
+        "3 data bytes where 2 are announced",
+    ),
+    "python-can CSV with a flag that is none": (
+        TEXTS["python-can CSV"] + "5.0,0x40,0,0,2,8,AAAAAAAAAAA=\n",
+        24,
+        "line 26: not a row of this table",
+    ),
+    "TRC overrun": (trc("2.1", "  25  250.000 ST 1 Rx - 4 00 00 00 02\n"), 24, "line 28: frames were lost here"),
     "no log": (b"\x00\x01\x02" * 50, 0, "no format of a log that is read"),
     "BLF of a logger that died": (blf(closed=False), 24, "did not close it"),
     "BLF with an object of length 0": (blf([FIRST, LENGTH_0]), 1, "after frame 1: an object of length 0"),
     "BLF with an object of no version": (blf([FIRST, VERSION_9]), 1, "version 9"),
     "BLF with less than it announces": (blf()[:32] + b"\x63\0\0\0" + blf()[36:], 24, "24 of 99 objects are there"),
     "ASC without its block's end": (asc(f"{ASC_HEAD}Begin Triggerblock {DATE}\n"), 24, "trigger block has no end"),
+    **{
+        f"{what} with an error at a time that is none": (content, 24, "no time")
+        for what, content in {
+            "python-can CSV": TEXTS["python-can CSV"] + "999999999999999999.0,0x40,0,0,1,8,AAAAAAAAAAA=\n",
+            "python-can CSV, negative,": TEXTS["python-can CSV"] + "-9.0,0x40,0,0,1,8,AAAAAAAAAAA=\n",
+            "pcapng": pcapng() + pcapng_block(6, struct.pack("<LLLLL", 0, 1 << 31, 0, 16, 16) + BUS_OFF),
+            "BLF": blf(
+                [
+                    *blf_frames(),
+                    blf_object(73, 1 << 40, struct.pack("<HHLBBBxLLH2x8s", 1, 0, 0, 0, 0, 0, 0, 64, 0, b"")),
+                ]
+            ),
+        }.items()
+    },
+    "SQLite with a number for data": (sqlite_db((0.5, 0x520, 0, 0, 0, 8, 1 << 40)), 24, "row 25 is left out: no data"),
+    "SQLite without a time": (sqlite_db((None, 0x520, 0, 0, 0, 8, b"")), 24, "row 25 is left out: no time: None"),
     "pcap cut in a packet": (pcap()[:-3], 23, "cut off"),
     "pcapng with a block of length 0": (pcapng() + bytes(8), 24, "a block of length 0"),
     **{
@@ -666,6 +727,28 @@ def test_frames_that_candump_dropped_make_the_verdict_unknown(
     assert "unknown: 38 frames lost in this machine's receive buffer" in capsys.readouterr().out
 
 
+BLF_LOST = [blf_object(125, 30, bytes(4)), blf_object(126, 31, struct.pack("<LQL", 0, 0, 37))]
+DROPPED = [pcapng_block(5, struct.pack("<LLLHHQHHQ", 0, 0, 0, 5, 8, few, 7, 8, 30)) for few in (3, 7)]
+OVERRUNS = "".join(f"{T0_S}.300000 1CST Status rxpkt=7 rxovr={count} txovr=0\n" for count in (30, 37))
+TOLD_LOST: dict[str, tuple[str | bytes, int]] = {  # by the logger: how many
+    "BLF": (blf([*blf_frames(), *BLF_LOST]), 37),
+    "BLF without the loss's end": (blf([*blf_frames(), BLF_LOST[0]]), 1),
+    "BLF overrun": (blf([*blf_frames(), blf_object(91, 30, bytes(8))]), 1),
+    "pcapng": (pcapng() + b"".join(DROPPED), 37),
+    "CRTD": (TEXTS["CRTD"] + OVERRUNS, 37),
+}
+
+
+@pytest.mark.parametrize("what", TOLD_LOST)
+def test_a_logger_that_lost_frames_makes_the_verdict_unknown(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content, lost = TOLD_LOST[what]
+    assert_whole(*given(tmp_path / "run.any", content))
+    assert main(["check", str(tmp_path / "run.any")]) == 1
+    assert f"unknown: {lost} frame" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("line", [" ({t})  can0  520   [2]  01 A5", "({t}) can0 520#01A5"])
 def test_differences_of_candump_are_added_up(line: str, tmp_path: Path) -> None:
     steps_us = [0, 0, 0, 0, 0, 0, 0, 10_000] * 50
@@ -724,6 +807,63 @@ def test_mf4_frames_are_what_their_own_conversions_say(
     assert {(frame.channel, frame.extended, frame.sent) for frame in frames} == {
         (f"can{int(virtual.get('BusChannel', 1))}", False, bool(virtual.get("Dir", 0)))
     }
+
+
+def mf4(path: Path, **groups: dict[str, Any]) -> tuple[list[LogFrame], Log]:
+    """Groups of ROWS by their kinds, each with fields that are changed: another column, or none."""
+    import asammdf  # slow to import
+
+    with asammdf.MDF(version="4.10") as made:
+        for kind, changed in groups.items():
+            lengths = [len(data) for _, data in ROWS]
+            columns: dict[str, Any] = {
+                "ID": np.array([can_id for can_id, _ in ROWS], "<u4"),
+                "DLC": np.array(lengths, "u1"),
+                "DataLength": np.array(lengths, "u1"),
+                "DataBytes": np.array([list(data.ljust(8, b"\0")) for _, data in ROWS], "u1"),
+                "BusChannel": np.ones(len(ROWS), "u1"),
+            } | changed
+            fields = {f"{kind}.{name}": column for name, column in columns.items() if column is not None}
+            kinds = [(name, column.dtype, column.shape[1:]) for name, column in fields.items()]
+            records = np.zeros(len(ROWS), kinds)
+            for name, column in fields.items():
+                records[name] = column
+            made.append([asammdf.Signal(records, np.arange(len(ROWS)) / 100, name=kind)])
+        made.save(path, overwrite=True)
+    with open_log(path) as log:
+        return list(log.frames()), log
+
+
+def test_mf4_errors_and_overloads_are_errors_of_the_bus(tmp_path: Path) -> None:
+    frames, log = mf4(tmp_path / "run.mf4", CAN_DataFrame={}, CAN_ErrorFrame={}, CAN_OverloadFrame={})
+    assert (log.problems.texts, of(frames)) == ([], ROWS)
+    errors = [frame for frame in frames if frame.error]
+    assert [frame.can_id for frame in errors] == [0x80, 0x08] * len(ROWS)  # bus error, protocol violation
+    assert {frame.data[2] for frame in errors if frame.can_id == 0x08} == {0x20}  # overload
+
+
+def test_mf4_frames_that_cannot_be_are_left_out_and_said(tmp_path: Path) -> None:
+    ids, lengths = np.full(len(ROWS), 0x514, "<u4"), np.full(len(ROWS), 2, "u1")
+    ids[3], lengths[5] = 0x900, 200
+    frames, log = mf4(tmp_path / "run.mf4", CAN_DataFrame={"ID": ids, "DataLength": lengths})
+    assert (len(frames), log.problems.count) == (len(ROWS) - 2, 2)
+    assert "frame 4, 0x900 of 2 bytes, cannot be one" in log.problems.texts[0]
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"DataLength": None}, ""),
+        ({"ID": None}, "its frames have no ID"),
+        ({"DataBytes": None}, "its frames have no DataBytes"),
+        ({"BusChannel": np.full(len(ROWS), 1 << 31, "<u4")}, "an invalid number of a bus"),
+    ],
+    ids=["DataLength", "ID", "DataBytes", "BusChannel"],
+)
+def test_mf4_without_a_field_is_read_or_refused(changed: dict[str, Any], words: str, tmp_path: Path) -> None:
+    frames, log = mf4(tmp_path / "run.mf4", CAN_DataFrame=changed)
+    assert of(frames) == ([] if words else ROWS)
+    assert words in log.problems.summary() and bool(words) == bool(log.problems)
 
 
 # ---------------------------------------------------------------- folders

@@ -30,6 +30,11 @@ ORPHANS = [
     ("", 'VAL_ 1999 Gone 0 "OFF" ;\nVAL_ 1280 Gone\n 0 "OFF" ;\n', "left out: Gone, Gone"),
     ("", "SIG_VALTYPE_ 1280 Gone : 1;\n", "types of unknown signals left out: Gone"),
     (ATTRIBUTES, 'BA_ "NotDefined" BO_ 1280 10;\n', "values of unknown attributes left out: NotDefined"),
+    (
+        'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN";\nBA_DEF_DEF_ "VFrameFormat" "StandardCAN";\n',
+        'BA_ "VFrameFormat" BO_ 1280 99;\n',
+        "values of unknown words of attributes left out: VFrameFormat",
+    ),
     ("", 'BA_REL_ "Q" BU_SG_REL_ Box SG_ 1280 A 5;\n', "left out: Q"),
     ("BO_ 4000 Big: 8 Box\n\n", 'VAL_ 4000 B 1 "x" ;\n', "identifiers of more than 11 bits left out: Big"),
 ]
@@ -44,6 +49,22 @@ def test_an_entry_that_belongs_to_nothing_costs_itself(before: str, behind: str,
     assert len(databases.left_out) == 1 and words in databases.left_out[0]
     (layout,) = databases.layouts.values()
     assert (layout.name, layout.signals[0].unit, dict(layout.signals[0].choices)) == ("Temp", "°C", {1: "one"})
+
+
+@pytest.mark.parametrize(
+    ("behind", "words"),
+    [
+        ('BO_ 1280 Again: 8 Box\n SG_ B : 0|8@1+ (1,0) [0|0] "" Box\n', "for an identifier left out: Again"),
+        ('BO_ 1281 Two: 8 Box\n SG_ B : 0|8@1+ (1,0) [0|0] "" Box\n SG_ B : 8|8@1+ (1,0) [0|0] "" Box\n', "Two.B"),
+        ('BO_ 1281 Long: 2 Box\n SG_ B : 12|8@1+ (1,0) [0|0] "" Box\n', "beyond their bytes: Long (B)"),
+        ('BO_ 1281 Long: 2 Box\n SG_ B : 8|9@0+ (1,0) [0|0] "" Box\n', "beyond their bytes: Long (B)"),
+        ('BO_ 1281 Full: 2 Box\n SG_ B : 7|16@0+ (1,0) [0|0] "" Box\n', ""),
+    ],
+    ids=["identifier twice", "name twice", "too long", "too long, big-endian", "as long as its message"],
+)
+def test_what_a_database_hides_is_said(behind: str, words: str, tmp_path: Path) -> None:
+    said = loaded(tmp_path / "team.dbc", HEAD + MESSAGE + behind).left_out
+    assert len(said) == bool(words) and words in "".join(said)
 
 
 def test_what_is_wrong_beside_an_orphan_is_still_refused(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ plain (multiplexed, longer than eight bytes, …) are decoded by cantools.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -29,6 +29,7 @@ _KINDS = ("arxml", "cdd", "dbc", "kcd", "sym")
 _PACKED = ("\x1f\x8b", "\x1f\u2039", "PK\x03\x04", "\xfd7zXZ", "BZh")  # as text of Latin-1, or of Windows
 _MAX_PLAIN_BYTES = 8
 _INT64 = 1 << 63
+_NAMED = 5
 _LONGEST_PERIOD_MS = 86_400_000  # a day
 
 
@@ -102,6 +103,36 @@ def _loaded(paths: Sequence[Path]) -> Databases:
     return databases
 
 
+def _not_shown(database: Database) -> str:
+    """Sentence on messages and signals of one file that others hide, and on signals that no frame can have, or ''."""
+    found: dict[str, list[str]] = {}
+    seen: set[tuple[int, bool]] = set()
+    for message in database.messages:
+        key = (message.frame_id, message.is_extended_frame)
+        if key in seen:
+            found.setdefault("second messages for an identifier left out", []).append(message.name)
+        seen.add(key)
+        names = Counter(signal.name for signal in message.signals)
+        twice = [f"{message.name}.{name}" for name, count in names.items() if count > 1]
+        if twice and not message.is_multiplexed():
+            found.setdefault("of several signals with one name only one is shown", []).extend(twice)
+        beyond = [signal.name for signal in message.signals if _is_beyond(signal, message.length)]
+        if beyond and message.length:
+            words = "messages that cannot be decoded, for signals beyond their bytes"
+            found.setdefault(words, []).append(f"{message.name} ({', '.join(beyond[:_NAMED])})")
+    lists = ((words, [printable(name[:80]) for name in names]) for words, names in found.items())
+    return "; ".join(
+        f"{words}: {', '.join(names[:_NAMED])}{f' and {len(names) - _NAMED} more' if names[_NAMED:] else ''}"
+        for words, names in lists
+    )
+
+
+def _is_beyond(signal: Signal, length: int) -> bool:
+    if signal.byte_order != "big_endian":
+        return bool(signal.start + signal.length > 8 * length)
+    return bool(8 * (signal.start // 8) + 7 - signal.start % 8 + signal.length > 8 * length)
+
+
 def databases_of(databases: Iterable[Database]) -> Databases:
     """Layouts of databases that cantools has loaded."""
     messages: dict[int, Message] = {}
@@ -146,7 +177,7 @@ def _make_printable(database: Database) -> None:
 def _load(path: Path) -> tuple[Database, bool, str]:
     """A file's database; of this car's interface with signed one-bit flags made unsigned, and whether there were any.
 
-    Also a sentence on entries that were left out, or ''.
+    Also a sentence on entries that were left out or are not shown, or ''.
 
     Raises DatabaseError.
     """
@@ -192,14 +223,14 @@ def _load(path: Path) -> tuple[Database, bool, str]:
         raise DatabaseError(f"{path}: describes no message")
     check_bounds(path, loaded)
     if kind != "dbc":
-        return loaded, False, left_out
+        return loaded, False, "; ".join(filter(None, (left_out, _not_shown(loaded))))
     check_whole(path, text, by_nodes=True)
     signed = ("AI2VCU_" in text or "VCU2AI_" in text) and any(
         signal.length == 1 and signal.is_signed for message in loaded.messages for signal in message.signals
     )
     if signed:
         make_flags_unsigned(loaded)
-    return loaded, signed, left_out
+    return loaded, signed, "; ".join(filter(None, (left_out, _not_shown(loaded))))
 
 
 def _layout(message: Message) -> MessageLayout:

@@ -63,6 +63,7 @@ BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
 REMOTE_LATE_NS: Final = 20 * MS  # its receiver sends every 10 ms, perhaps after the car's own change of state
 HUNG_NS: Final = 50 * MS
+LATE_NS: Final = 60 * MS  # of a switch that the car reports behind the state it brought about: nobody reacts so soon
 BACK_NS: Final = 2 * S
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it comes to rest
 AT_FIRST_NS: Final = 20 * MS  # a fault bit that rises later than the state did not bring it about
@@ -123,6 +124,8 @@ def _emergency_causes(record: Record, span: Span) -> list[Candidate]:
         found += _lost_link(record, t_ns, driven)
         found += _simulators_brake(record, t_ns)
     found += _impossible(span)
+    if not found and driven:
+        found += _just_behind(record, t_ns)
     if not found or (span.before is None and not reported):
         found += _nothing_shown(record, span)
     return found
@@ -243,6 +246,8 @@ def _still(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
     still = record.span_at(sig.HANDSHAKE, t_ns - 1)
     if still is None or still.before is None or t_ns - still.begin_ns < STOOD_NS or not len(record.series(sig.ECHO)):
         return []  # without its echo nobody knows whether it was sent back
+    if any(still.begin_ns <= gap.begin_ns < t_ns for gap in record.gaps(sig.STATUS, HUNG_NS)):
+        return []  # nor what it was in frames that did not come
     length = ms(still.end_ns - still.begin_ns)
     words = f"HANDSHAKE of 0x520 stands at {still.value:g} for {length}, and 0x510 sends it back"
     stands_at = sig.HANDSHAKE.step(still.begin_ns, words, sig.HANDSHAKE.was(still.value, still.begin_ns, t_ns - 1))
@@ -391,6 +396,19 @@ def _failed(record: Record, t_ns: int) -> Iterator[Candidate]:
         more = accumulators(record, t_ns) if slug == "ebs_fault" else []
         for one in switched(record, slug, signal, t_ns, to=value):
             yield candidate(slug, one.sureness, *more, *one.steps)
+
+
+def _just_behind(record: Record, t_ns: int) -> Iterator[Candidate]:
+    """Changes by hand, or of the tractive system, that 0x520 and 0x181 show a moment after the state."""
+    for slug, signal, to in (
+        ("asms_off", sig.AS_SWITCH, 0.0),
+        ("tsms_off", sig.TS_SWITCH, 0.0),
+        ("pushbar_in_driving", sig.OP_STATE, float(OpState.OP_PUSHBAR)),
+        ("ts_fault", sig.TS_STATE, float(TsState.TS_FAULT)),
+        ("remote_estop", sig.REMOTE_ESTOP, None),
+    ):
+        for one in switched(record, slug, signal, t_ns + LATE_NS, to=to, within_ns=LATE_NS - 1):
+            yield candidate(slug, Sureness.FITS, *one.steps)
 
 
 def _simulators_brake(record: Record, t_ns: int) -> list[Candidate]:

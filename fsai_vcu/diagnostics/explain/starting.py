@@ -16,8 +16,9 @@ from msgspec.structs import replace
 from fsai_vcu.core.supervision.start_conditions import CONDITIONS, Obstacle
 from fsai_vcu.core.supervision.start_conditions import why_not_driving as bus_not_driving
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.causes import FAULT_BITS
 from fsai_vcu.diagnostics.explain.conditions import all_met, moment, named, unmet
-from fsai_vcu.diagnostics.explain.endings import restarted, switched
+from fsai_vcu.diagnostics.explain.endings import JUST_BEFORE_NS, LATE_NS, restarted, switched
 from fsai_vcu.diagnostics.explain.evidence import link_losses
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
@@ -80,10 +81,24 @@ def _never_ready(record: Record) -> Iterator[Incident]:
         candidates = (
             unmet(AsState.AS_OFF, record, at_ns)
             or unmet(AsState.AS_OFF, record, end_ns)
+            or [*_reported(record, begin_ns, at_ns)]
             or [all_met(AsState.AS_OFF, record, at_ns)]
         )
         what = f"the car stays {_where(record, begin_ns, end_ns)}, and never gets to AS_READY"
         yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates), lasted=(begin_ns, end_ns))
+
+
+def _reported(record: Record, begin_ns: int, at_ns: int) -> Iterator[Candidate]:
+    """Causes that the car and the remote report at that moment of a stay, beside the conditions of a start."""
+    for signal in sig.FAULTS:
+        if record.at(signal, at_ns):
+            rose = record.span_at(signal, at_ns)
+            since_ns = at_ns if rose is None else max(rose.begin_ns, begin_ns)
+            yield candidate(FAULT_BITS[signal.name], Sureness.SAID, signal.step(since_ns, f"{signal.name} is 1"))
+    pressed = record.changes(sig.REMOTE_ESTOP, begin_ns, at_ns)
+    if pressed and record.at(sig.REMOTE_ESTOP, at_ns) == pressed[-1].value:
+        words = f"the remote's ESTOP_STATUS {pressed[-1].before:g} → {pressed[-1].value:g}"
+        yield candidate("remote_estop", Sureness.FITS, sig.REMOTE_ESTOP.step(pressed[-1].begin_ns, words))
 
 
 def _where(record: Record, begin_ns: int, end_ns: int) -> str:
@@ -202,7 +217,8 @@ def _turned_away(record: Record, span: Span) -> Iterator[Candidate]:
         ("mission_changed", sig.AMI, None),
         ("deselected", sig.MISSION_STATUS, None),
     ):
-        yield from switched(record, slug, signal, span.end_ns, to=to)
+        late_ns = LATE_NS if signal is sig.TS_SWITCH else 0  # the others may change because of AS_OFF
+        yield from switched(record, slug, signal, span.end_ns + late_ns, to=to, within_ns=JUST_BEFORE_NS + late_ns)
 
 
 def _no_go(record: Record, span: Span, end_ns: int) -> Iterator[Candidate]:

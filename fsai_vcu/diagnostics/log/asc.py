@@ -25,6 +25,7 @@ from fsai_vcu.diagnostics.log.rows import (
     Pattern,
     Rows,
     bytes_of,
+    counted_errors,
     error_frame,
     frame_of,
     ns_of,
@@ -43,6 +44,7 @@ _PLAIN = re.compile(
     rb"(?P<way>[RT])x +d (?P<length>[0-8])"
 )
 _TAIL: Final = b"  Length = "  # what Vector's tools write behind the data
+_BYTE = {16: re.compile(r"[0-9A-Fa-f]{2}"), 10: re.compile(r"\d{1,3}")}  # by the base of the numbers
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,6}))?\s*([ap])?\.?m?\.?\b", re.IGNORECASE)
 # By the first letters in English, German, French, Italian, Spanish, Portuguese; ? is a letter that was garbled.
 _MONTHS: Final = (
@@ -54,6 +56,7 @@ _NO_FRAMES: Final = re.compile(
     r"\S+\s*:=|//|;|\d+\s+(statistic|j1939|bus|//)",
     re.IGNORECASE,
 )
+_STATISTICS: Final = re.compile(r"statistic: .*\be (\d{1,10}) o (\d{1,10})\b")  # error frames, overload frames
 _STATES: Final = (
     ("busoff", BUS_OFF, 0),
     ("bus off", BUS_OFF, 0),
@@ -161,6 +164,8 @@ class AscRows(Rows):
                 return error_frame(self._at_ns, channel, PROTOCOL, protocol=OVERLOAD)
             if "status:" in lower:
                 return self._state(channel, lower)
+            if (counted := _STATISTICS.search(lower)) and (int(counted[1]) or int(counted[2])):
+                return counted_errors(self._at_ns, channel, int(counted[1]))
             if len(words) > 3 and words[2].lower() in ("rx", "tx", "txrq", "txerr"):
                 return self._classic(channel, words)
         if lower.startswith("start of measurement"):
@@ -187,6 +192,8 @@ class AscRows(Rows):
         if not WAYS.keys().isdisjoint(word.lower() for word in words[5:]):
             raise ValueError("two rows in one line")
         data = b"" if remote else bytes_of(words[5 : 5 + length], self._base)
+        if not remote and len(words) > 5 + length and _BYTE[self._base].fullmatch(words[5 + length]):
+            raise ValueError(f"more data bytes than the {length} that are announced")
         frame = frame_of(
             self._at_ns, channel, id_text, data, length,
             base=self._base, extended=extended, remote=remote, sent=WAYS.get(way),

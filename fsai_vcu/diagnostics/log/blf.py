@@ -25,9 +25,11 @@ from fsai_vcu.diagnostics.log.rows import (
     REQUESTS,
     SINGLE_BIT,
     STUFFING,
+    counted_errors,
     error_frame,
     frame_of,
     state_frame,
+    told_error,
 )
 
 MAGIC: Final = b"LOGG"
@@ -43,11 +45,14 @@ _CONTAINER: Final = struct.Struct("<H6xL4x")  # packing, unpacked size
 _CAN: Final = struct.Struct("<HBBL8s")  # channel, flags, DLC, identifier, data
 _ERROR_EXT: Final = struct.Struct("<HHLBBBxLLH2x8s")  # channel, …, what is valid, ECC, …, identifier, …, data
 _DRIVER_ERROR: Final = struct.Struct("<HBBL")  # channel, transmit errors, receive errors, code
+_COUNTED: Final = struct.Struct("<HH4L2L")  # channel, load, frames of four kinds, error frames, overload frames
+_LOST: Final = struct.Struct("<LQL")  # queue, time of the first event that was lost, how many
 _FD: Final = struct.Struct("<HBBLLBBB5x64s")  # channel, flags, DLC, identifier, …, FD flags, data bytes, data
 _FD_64: Final = struct.Struct("<BBBBLLLLLLLHBBL")  # channel, DLC, data bytes, …, identifier, …, flags, …, way, end, CRC
 _MESSAGE, _ERROR, _OVERLOADED, _CONTAINS, _DRIVER, _ERROR_2, _DRIVER_2, _MESSAGE_2 = 1, 2, 3, 10, 31, 73, 74, 86
 _FD_MESSAGE, _FD_MESSAGE_64, _FD_ERROR_64 = 100, 101, 104
-_NAMES: Final = {4: "statistics", 5: "trigger", 65: "text", 72: "overload", 92: "comment", 96: "marker"}
+_STATISTICS, _OVERRUN, _LOSS_BEGINS, _LOSS_ENDS = 4, 91, 125, 126
+_NAMES: Final = {4: "statistics", 5: "trigger", 65: "text", 72: "variable", 92: "comment", 96: "marker"}
 _MINUTE_S: Final = 60
 _SINGLY: Final = 16  # fewer objects alike are not worth while, and then as many are read one by one
 _TOGETHER: Final = 4096
@@ -205,6 +210,9 @@ class BlfFile:
 
     def _frame(self, kind: int, version: int, content: bytes) -> LogFrame | None:
         """Return the frame of an object; None for an object that is no frame, which is noted."""
+        if kind in (_OVERRUN, _LOSS_BEGINS, _LOSS_ENDS):
+            self._told.lost += _lost(kind, version, content)
+            return None
         if kind not in _READ:
             name = _NAMES.get(kind)
             self._told.note(f"an object of type {kind}{f' ({name})' if name else ''}, which is no frame")
@@ -235,6 +243,12 @@ class BlfFile:
             return self._message(
                 t_ns, channel, can_id, data, length, way, remote, fd, bool(marks & 0x2000), bool(marks & 0x4000)
             )
+        if kind == _STATISTICS:
+            number, _, *_, errors, overloads = _COUNTED.unpack_from(content, at)
+            if not errors and not overloads:
+                self._told.note(f"an object of type {kind} ({_NAMES[kind]}), which is no frame")
+                return None
+            return counted_errors(t_ns, _channel(number), errors)
         return _bad(kind, t_ns, content, at)
 
     def _message(
@@ -252,8 +266,16 @@ class BlfFile:
 
 _READ: Final = {
     _MESSAGE, _MESSAGE_2, _FD_MESSAGE, _FD_MESSAGE_64,
-    _ERROR, _ERROR_2, _FD_ERROR_64, _OVERLOADED, _DRIVER, _DRIVER_2,
+    _ERROR, _ERROR_2, _FD_ERROR_64, _OVERLOADED, _DRIVER, _DRIVER_2, _STATISTICS,
 }  # fmt: skip
+
+
+def _lost(kind: int, version: int, content: bytes) -> int:
+    """Number of frames that an object says are missing here; the begin of a loss is one, its end tells the others."""
+    if kind != _LOSS_ENDS:
+        return 1
+    (_, _, count) = _LOST.unpack_from(content, _STAMP.size if version == 1 else _STAMP.size + 8)
+    return max(int(count) - 1, 0)
 
 
 def _bad(kind: int, t_ns: int, content: bytes, at: int) -> LogFrame:
@@ -269,7 +291,7 @@ def _bad(kind: int, t_ns: int, content: bytes, at: int) -> LogFrame:
     if kind == _ERROR_2:
         _, _, valid, code, _, dlc, _, can_id, _, data = _ERROR_EXT.unpack_from(content, at)
         if not valid and can_id & 0x1FFF_FFFF:  # as python-can writes what SocketCAN says
-            return LogFrame(t_ns, _channel(number), can_id & 0x1FFF_FFFF, data[: min(dlc, 8)], error=True)
+            return told_error(t_ns, _channel(number), can_id, data[: min(dlc, 8)])
         if valid & 1:
             return error_frame(t_ns, _channel(number), PROTOCOL | BUS_ERROR, protocol=_VIOLATIONS[code >> 6])
     return error_frame(t_ns, _channel(number), BUS_ERROR)

@@ -124,12 +124,12 @@ def _from_screen_line(found: re.Match[str]) -> LogFrame:
     if text == "remote request":
         return LogFrame(t_ns, found["ch"], can_id, b"", extended, True, error, sent=sent, length=length)
     data = bytes.fromhex(text)
-    if len(data) < length:
+    if len(data) != length:
         raise ValueError(f"{len(data)} data bytes where {length} are announced")
     brs, esi = found["brs"] == "B", found["esi"] == "E"
     fd = length > MAX_CLASSIC_DLC or brs or esi
     _check_length(length, fd)
-    return LogFrame(t_ns, found["ch"], can_id, data[:length], extended, False, error, fd, brs, esi, sent)
+    return LogFrame(t_ns, found["ch"], can_id, data, extended, False, error, fd, brs, esi, sent)
 
 
 def _identifier(text: str) -> tuple[int, bool, bool]:

@@ -8,7 +8,7 @@ from typing import IO, Final
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
-from fsai_vcu.diagnostics.log.rows import frame_of
+from fsai_vcu.diagnostics.log.rows import frame_of, told_error
 
 PCAP: Final = {  # byte order, and the unit of the fraction of a second
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
@@ -24,7 +24,8 @@ _COOKED_2_HEAD: Final = struct.Struct(">HxxLHBB8x")  # protocol, …, number of 
 _PROTOCOLS: Final = (0x000C, 0x000D)  # CAN, CAN FD (linux/if_ether.h)
 _OUTGOING: Final = 4  # kind of packet: sent by the computer that captured (linux/if_packet.h)
 _PACKET_BYTES: Final = 256 << 10
-_SECTION, _INTERFACE, _SIMPLE, _PACKET = 0x0A0D0D0A, 1, 3, 6  # blocks of pcapng
+_SECTION, _INTERFACE, _SIMPLE, _STATISTICS, _PACKET = 0x0A0D0D0A, 1, 3, 5, 6  # blocks of pcapng
+_DROPPED: Final = (5, 7)  # options of statistics: packets that the interface, the operating system had no room for
 _RESOLUTION: Final = 9  # option of an interface
 _NAME: Final = 2
 _INTERFACES: Final = 256
@@ -69,7 +70,7 @@ def _frame(t_ns: int, channel: str, packet: bytes, order: str, sent: bool | None
     data = packet[8 : 8 + length]
     fd = bool(marks & 4) or len(packet) == 72
     if number & 0x2000_0000:
-        return LogFrame(t_ns, channel, number & 0x1FFF_FFFF, data[:8], error=True, sent=sent)
+        return told_error(t_ns, channel, number, data, sent)
     extended, remote = bool(number >> 31), bool(number >> 30 & 1)
     can_id = number & (0x1FFF_FFFF if extended else 0x7FF)
     brs, esi = fd and bool(marks & 1), fd and bool(marks & 2)
@@ -104,6 +105,7 @@ def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
     """Yield the packets of a pcapng file, of all its interfaces."""
     order, kind = "<", _SECTION
     interfaces: list[tuple[int, str, int]] = []  # link type, channel, units a second
+    dropped: dict[int, int] = {}  # by the interface's number: all up to now
     first = True
     while True:
         head = (PCAPNG if first else stream.read(4)) + (stream.read(4))
@@ -118,7 +120,7 @@ def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
             begin = stream.read(4)
             order = "<" if begin == b"\x4d\x3c\x2b\x1a" else ">"
             size = struct.unpack(f"{order}L", head[4:])[0]
-            interfaces = []
+            interfaces, dropped = [], {}
         if size < 12 + len(begin) or size > _PACKET_BYTES:
             raise ReadingEnds(f"a block of length {size}")
         body = begin + stream.read(size - 8 - len(begin))
@@ -132,6 +134,11 @@ def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
                 raise ReadingEnds("an invalid packet")
             link, channel, units = interfaces[number]
             yield link, channel, (high << 32 | low) * 1_000_000_000 // units, body[20 : 20 + length], whole, order
+        elif kind == _STATISTICS and size >= 24:
+            number = struct.unpack_from(f"{order}L", body)[0]
+            lost = _dropped(order, body[12:-4])
+            told.lost += max(lost - dropped.get(number, 0), 0)
+            dropped[number] = lost
         elif kind == _SIMPLE:
             raise ReadingEnds("packets without times")
         elif kind not in (_SECTION, _INTERFACE):
@@ -140,15 +147,27 @@ def _pcapng(stream: IO[bytes], told: Problems) -> _Packets:
 
 def _interface(order: str, body: bytes, number: int) -> tuple[int, str, int]:
     link = struct.unpack_from(f"{order}H", body)[0]
-    channel, units, at = f"can{number}", 1_000_000, 8
-    while at + 4 <= len(body):
-        option, length = struct.unpack_from(f"{order}HH", body, at)
-        value = body[at + 4 : at + 4 + length]
-        if option == 0:
-            break
+    channel, units = f"can{number}", 1_000_000
+    for option, value in _options(order, body[8:]):
         if option == _RESOLUTION and value:
             units = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** (min(value[0], 12))
         elif option == _NAME and value:
             channel = value[:15].decode("ascii", "replace").rstrip("\0") or channel
-        at += 4 + length + -length % 4
     return link, channel, units
+
+
+def _dropped(order: str, options: bytes) -> int:
+    """Packets that statistics of an interface say it lost."""
+    found = (value for option, value in _options(order, options) if option in _DROPPED and len(value) == 8)
+    return sum(int(struct.unpack(f"{order}Q", value)[0]) for value in found)
+
+
+def _options(order: str, body: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the options at the end of a block: kind and value."""
+    at = 0
+    while at + 4 <= len(body):
+        option, length = struct.unpack_from(f"{order}HH", body, at)
+        if option == 0:
+            return
+        yield option, body[at + 4 : at + 4 + length]
+        at += 4 + length + -length % 4

@@ -36,6 +36,7 @@ Mask = npt.NDArray[np.bool_]
 
 MOST_CHANNELS: Final = 256  # that a log names; no car has a tenth of it
 _OTHERS: Final = "others"  # what is said of more
+_LONGEST_NAME: Final = 64  # characters of a channel; of a network interface it has 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +141,7 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
     """Columns from single frames. `channels` is the log's own growing list of names, to number them alike."""
     names = [] if channels is None else channels
     rows = list(records)
-    spelt = {channel: printable(channel) for channel in dict.fromkeys(frame.channel for frame in rows)}
+    spelt = {channel: _name_of(channel) for channel in dict.fromkeys(frame.channel for frame in rows)}
     for channel, name in spelt.items():
         if name not in names and len(names) >= MOST_CHANNELS:
             name = spelt[channel] = _OTHERS
@@ -158,6 +159,11 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
         names,
         {row: frame.data for row, frame in enumerate(rows) if len(frame.data) > CLASSIC_BYTES},
     )
+
+
+def _name_of(channel: str) -> str:
+    """A channel's name as it is shown, and as a word in a line of candump: a capture may have any text there."""
+    return printable("_".join(channel[:_LONGEST_NAME].split(" ")))[:_LONGEST_NAME]
 
 
 def joined(parts: Iterable[Frames]) -> Frames:

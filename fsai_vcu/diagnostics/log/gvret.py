@@ -10,26 +10,32 @@ from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
 from fsai_vcu.diagnostics.log.rows import WAYS, Rows
 
-HEAD: Final = re.compile("time stamp,id,", re.IGNORECASE)
+HEAD: Final = re.compile(r'"?time stamp"?([,;\t])"?id"?\1', re.IGNORECASE)
 """A line that tells this format."""
 
 _BUS: Final = "can"
 
 
 class GvretRows(Rows):
-    """Reads the lines of one file: the head first, which older versions write without `Dir`."""
+    """Reads the lines of one file: the head first, which older versions write without `Dir`.
+
+    A spreadsheet that saved it again has put quotes around the words, or another separator between them.
+    """
 
     def __init__(self, told: Problems) -> None:
         super().__init__(told)
         self._columns: list[str] = []
+        self._separator = ","
 
     def is_whole(self, line: str) -> bool:
-        return re.fullmatch(r".*,[0-9A-Fa-f]{2},?\s*", line) is not None
+        return re.fullmatch(r'.*[,;\t]"?[0-9A-Fa-f]{2}"?[,;\t]*\s*', line) is not None
 
     def __call__(self, line: str) -> LogFrame | None:
         """Return the frame on a line; None for the head, which names the columns."""
-        words = [word.strip() for word in line.split(",")]
-        if HEAD.match(line):
+        if head := HEAD.match(line):
+            self._separator = head[1]
+        words = [word.strip().strip('"') for word in line.split(self._separator)]
+        if head:
             self._columns = [word.lower() for word in words]
             return None
         if len(words) > max(len(self._columns), 1) + 1:  # a comma ends each row

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, MAX_STANDARD_ID
 from fsai_vcu.diagnostics.log.frames import (
     BRS,
     CLASSIC_BYTES,
@@ -28,13 +28,16 @@ from fsai_vcu.diagnostics.log.frames import (
     REMOTE,
     SENT,
     Frames,
+    Mask,
     frames_of,
     joined,
 )
+from fsai_vcu.diagnostics.log.rows import BUS_ERROR, FD_BYTES, OVERLOAD, PROTOCOL
 from fsai_vcu.files import MIB, TOO_MUCH_PACKED, UNPACKED_BYTES, UNPACKED_TIMES, bytes_on_disk
 from fsai_vcu.runtime.bounded import BoundedError, Bounds, results_of, send_results
 
-_KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+_OVERLOADED: Final = "CAN_OverloadFrame"
+_KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE, _OVERLOADED: ERROR}
 _MARKS: Final = {"EDL": FD, "BRS": BRS, "ESI": ESI}
 _ID_BYTES: Final = 64  # of the block that begins a file
 _FLAGS_AT: Final = 60  # in it: what was not finalized
@@ -42,6 +45,9 @@ _LAST_LENGTH: Final = 1 << 2
 _VIRTUAL: Final = (3, 6)  # types of channels that are no bits of a record
 _EXTENDED_BIT: Final = 1 << 31  # of an identifier, where no IDE stands beside it
 _AT_ONCE: Final = 1 << 22  # bytes of records: each has 64 of data, of which few are used
+_BYTES_OF: Final = np.array(FD_BYTES, np.uint8)  # by DLC
+_MOST_BUS: Final = 0xFFFF
+_CLASSES: Final = 0x400  # beyond all classes of errors (linux/can/error.h)
 _BATCH: Final = 100_000
 _RECORD_BYTES: Final = 16  # at least, of a frame
 _MEMORY_BYTES: Final = 256 * MIB
@@ -77,6 +83,8 @@ def main(path: Path, seconds: int) -> None:
         options: dict[str, Any] = {"process_bus_logging": False, "ignore_invalidation_bits": True}
         try:
             opened = asammdf.MDF(_finalizable(path) or path, **options)
+        except asammdf.blocks.utils.MdfException:  # whose words are of Python's objects
+            raise ValueError("cut off, or broken: no head of an MF4") from None
         except (ValueError, struct.error) as error:  # so it ends where a block should be that is behind the end
             raise ValueError(f"cut off, or broken: {error}") from error
         with opened as mdf:
@@ -163,10 +171,22 @@ def _group_frames(
         for time in times[~timely].tolist():
             problem(f"an invalid time: {time}")
         t_ns = np.rint(np.where(timely, times, 0) * 1e6).astype(np.int64) * 1000
-        yield _frames(columns, t_ns, kind, channels).only(timely)
+        frames = _frames(columns, t_ns, kind, channels)
+        sound = _sound(frames, columns)
+        for row in np.flatnonzero(~sound).tolist():
+            problem(f"frame {read + row + 1}, 0x{frames.can_id[row]:X} of {frames.length[row]} bytes, cannot be one")
+        yield frames.only(timely & sound)
         read += len(times)
     if read < announced:
         problem(f"cut off: {read} of {announced} frames are there")
+
+
+def _sound(frames: Frames, columns: Columns) -> Mask:
+    """Select the frames whose identifier has at most 11 bits, or 29, and whose data bytes are all there."""
+    sound: Mask = (frames.can_id <= MAX_STANDARD_ID) | (frames.flags & np.uint8(EXTENDED | ERROR) != 0)
+    if len(frames) and "DataBytes" in columns:
+        sound &= (frames.length <= columns["DataBytes"].shape[1]) | (frames.flags & np.uint8(REMOTE) != 0)
+    return sound
 
 
 def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: list[str]) -> Frames:
@@ -175,7 +195,12 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
     if not count:
         return frames_of((), channels)
     columns = {name: _whole(column) for name, column in columns.items()}
+    needed = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(kind, ())
+    if missing := [name for name in needed if name not in columns]:
+        raise ValueError(f"its frames have no {' and no '.join(missing)}")
     ids = columns.get("ID", np.zeros(count, np.uint32)).astype(np.uint32)
+    if _KINDS[kind] == ERROR:
+        ids = _error_classes(ids, columns, kind)
     flags = np.full(count, _KINDS[kind], np.uint8)
     if not flags.any() or kind == "CAN_RemoteFrame":  # of an error frame the identifier is its class
         flags[columns.get("IDE", ids & _EXTENDED_BIT) != 0] |= EXTENDED
@@ -184,12 +209,17 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
             flags[columns[name] != 0] |= mark
     if "Dir" in columns:
         flags |= np.where(columns["Dir"] != 0, SENT, RECEIVED).astype(np.uint8)
-    length = columns.get("DLC" if kind == "CAN_RemoteFrame" else "DataLength", np.zeros(count)).astype(np.uint8)
+    dlc = columns.get("DLC", np.zeros(count, np.uint8)).astype(np.uint8)
+    length = dlc if kind == "CAN_RemoteFrame" else columns.get("DataLength", _BYTES_OF[dlc & 15]).astype(np.uint8)
     payload = columns.get("DataBytes", np.zeros((count, CLASSIC_BYTES), np.uint8))
     first = np.zeros((count, CLASSIC_BYTES), np.uint8)
     first[:, : payload.shape[1]] = payload[:, :CLASSIC_BYTES]
     word = first.view("<u8").ravel() & _USED[np.minimum(length, CLASSIC_BYTES)]
+    if kind == _OVERLOADED:
+        length, word = np.full(count, CLASSIC_BYTES, np.uint8), np.full(count, OVERLOAD << 16, np.uint64)
     bus = columns.get("BusChannel", np.zeros(count, np.uint8))
+    if not 0 <= int(bus.min()) <= int(bus.max()) <= _MOST_BUS:
+        raise ValueError(f"an invalid number of a bus: {int(bus.min())} to {int(bus.max())}")
     counts = np.bincount(bus)
     numbers = np.zeros(len(counts), np.int32)
     for each in np.flatnonzero(counts).tolist():
@@ -206,6 +236,14 @@ def _frames(columns: Columns, t_ns: npt.NDArray[np.int64], kind: str, channels: 
         channels,
         {row: payload[row, : length[row]].tobytes() for row in np.flatnonzero(length > CLASSIC_BYTES).tolist()},
     )
+
+
+def _error_classes(ids: npt.NDArray[np.uint32], columns: Columns, kind: str) -> npt.NDArray[np.uint32]:
+    """SocketCAN's classes of error frames, where their identifiers are such; loggers write those of the frame there."""
+    if kind == _OVERLOADED:
+        return np.full(len(ids), PROTOCOL, np.uint32)
+    is_class = (ids > 0) & (ids < _CLASSES) & ("ErrorType" not in columns)
+    return np.where(is_class, ids, np.uint32(BUS_ERROR))
 
 
 def _whole(column: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -8,11 +8,21 @@ from typing import Final
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
-from fsai_vcu.diagnostics.log.rows import BUS_ERROR, REQUESTS, Rows, bytes_of, error_frame, frame_of, ns_of
+from fsai_vcu.diagnostics.log.rows import (
+    BUS_ERROR,
+    REQUESTS,
+    Rows,
+    bytes_of,
+    error_frame,
+    frame_of,
+    ns_of,
+    state_frame,
+)
+from fsai_vcu.interface.units import S
 
 BUSMASTER: Final = re.compile(r"\*\*\*BUSMASTER", re.IGNORECASE)
 KVASER: Final = re.compile(r"\s*Chn\s+Identifier\s+Flg\s+DLC", re.IGNORECASE)
-CRTD: Final = re.compile(r"\d{1,11}\.\d{1,9} \d?[RTC](11|29|XX|EV|VR)\b")
+CRTD: Final = re.compile(r"\d{1,11}\.\d{1,9} \d?[RTC](11|29|[A-Z]{2})\b")
 """Lines that tell these formats."""
 
 _BUSMASTER_ROW = re.compile(
@@ -25,6 +35,8 @@ _KVASER_ROW = re.compile(
     r"(?P<data>(?:[0-9A-Fa-f]{2}\s+)*?)(?P<time>\d+\.\d+)\s+(?P<way>[RT])"
 )
 _CRTD_ROW = re.compile(r"(?P<time>\d{1,11}\.\d{1,9}) (?P<bus>\d?)(?P<way>[RT])(?P<bits>11|29) (?P<id>\w+)(?P<data>.*)")
+_CRTD_SIDE = re.compile(r"(?P<time>\d{1,11}\.\d{1,9}) (?P<bus>\d?)C(?P<kind>[A-Z]{2})\b(?P<text>.*)")
+_CRTD_COUNT = re.compile(r"\b(rxerr|txerr|rxovr)=(\d{1,9})\b")
 _HOUR_S: Final = 3600
 
 
@@ -89,7 +101,10 @@ class BusmasterRows(Rows):
             raise ValueError(f"no time: {text[:40]}") from None
         time_ns = (hour * _HOUR_S + minute * 60 + second) * 1_000_000_000 + tenths * 100_000
         if self._mode == "system":
-            return self._day_ns + time_ns
+            if self._day_ns + time_ns < self._now_ns - _HOUR_S * S * 12:  # it is past midnight
+                self._day_ns += _HOUR_S * S * 24
+            self._now_ns = self._day_ns + time_ns
+            return self._now_ns
         if self._mode == "absolute":
             return self._begin_ns + time_ns
         self._now_ns += time_ns
@@ -129,6 +144,10 @@ class KvaserRows(Rows):
 class CrtdRows(Rows):
     """Reads the rows of one file of CRTD, which ends a row with its data and says no length."""
 
+    def __init__(self, told: Problems) -> None:
+        super().__init__(told)
+        self._overruns: dict[str, int] = {}  # by bus: all up to now
+
     def is_whole(self, line: str) -> bool:
         return False
 
@@ -136,11 +155,30 @@ class CrtdRows(Rows):
         text = line.strip()
         found = _CRTD_ROW.fullmatch(text)
         if found is None:
-            if not CRTD.match(text):
+            side = _CRTD_SIDE.fullmatch(text)
+            if side is None:
                 raise ValueError("not a row of CRTD")
-            self.told.note("a comment or an event, which is no frame" if " C" in text else REQUESTS)
-            return None
-        bus = f"can{max(int(found['bus'] or 1), 1) - 1}"
+            return self._beside(side)
+        bus = _crtd_bus(found["bus"])
         data = bytes_of(found["data"].split())
         extended, sent = found["bits"] == "29", found["way"] == "T"
         return frame_of(ns_of(found["time"]), bus, found["id"], data, extended=extended, sent=sent)
+
+    def _beside(self, row: re.Match[str]) -> LogFrame | None:
+        """Return the error frame of an error; count the lost frames of a status; note any other row."""
+        counts = {name: int(count) for name, count in _CRTD_COUNT.findall(row["text"])}
+        bus = _crtd_bus(row["bus"])
+        if "rxovr" in counts:
+            self.told.lost += max(counts["rxovr"] - self._overruns.get(bus, 0), 0)
+            self._overruns[bus] = counts["rxovr"]
+        if row["kind"] != "ER":
+            self.told.note("a comment, an event or a status, which is no frame")
+            return None
+        if "TX_Queue" in row["text"]:
+            self.told.note(REQUESTS)
+            return None
+        return state_frame(ns_of(row["time"]), bus, counts.get("txerr", 0), counts.get("rxerr", 0))
+
+
+def _crtd_bus(text: str) -> str:
+    return f"can{max(int(text or 1), 1) - 1}"

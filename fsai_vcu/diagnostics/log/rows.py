@@ -170,6 +170,18 @@ def error_frame(
     return LogFrame(t_ns, channel, kinds, data, error=True)
 
 
+def counted_errors(t_ns: int, channel: str, errors: int) -> LogFrame:
+    """Error frame for errors of the bus that a log only counts, in a row of statistics; none of them: overloads."""
+    return error_frame(t_ns, channel, BUS_ERROR) if errors else error_frame(t_ns, channel, PROTOCOL, protocol=OVERLOAD)
+
+
+def told_error(t_ns: int, channel: str, number: int, data: bytes, sent: bool | None = None) -> LogFrame:
+    """Error frame that a log has as SocketCAN gave it: its identifier and its data. Raises ValueError."""
+    if not 0 <= t_ns <= MAX_NS:
+        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+    return LogFrame(t_ns, channel, number & MAX_EXTENDED_ID, data[:MAX_CLASSIC_DLC], error=True, sent=sent)
+
+
 def state_frame(t_ns: int, channel: str, sent: int, received: int) -> LogFrame:
     """An error frame by a controller's error counters; 256 of the first is bus-off."""
     most = max(sent, received)

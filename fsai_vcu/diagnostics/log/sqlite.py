@@ -12,7 +12,7 @@ from typing import Final
 from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.diagnostics.log.problems import Problems, ReadingEnds
-from fsai_vcu.diagnostics.log.rows import frame_of
+from fsai_vcu.diagnostics.log.rows import frame_of, told_error
 
 MAGIC: Final = b"SQLite format 3\0"
 _HEAD: Final = struct.Struct(">16xH10xI")  # bytes of a page (1: 65536), and pages
@@ -51,7 +51,8 @@ def read_sqlite(path: Path, told: Problems, name: str) -> Iterator[Frames]:
                     try:
                         frames.append(read(*row))
                     except (ValueError, TypeError, OverflowError, struct.error) as error:
-                        told.add(f"{name}: row {number} is left out: {' '.join(str(error).split())[:200]}")
+                        words = str(error) if type(error) is ValueError else "not the fields of a frame"
+                        told.add(f"{name}: row {number} is left out: {' '.join(words.split())[:200]}")
                 before += len(batch)
                 yield frames_of(frames, channels)
             if bag and not before:
@@ -68,14 +69,16 @@ def _announced_bytes(path: Path) -> int:
 
 
 def _frame(
-    time_s: float, can_id: int, extended: int, remote: int, error: int, dlc: int, data: bytes | None
+    time_s: object, can_id: int, extended: int, remote: int, error: int, dlc: int, data: bytes | None
 ) -> LogFrame:
-    if not 0 <= time_s <= MAX_SECONDS:
+    if not isinstance(time_s, float | int) or not 0 <= time_s <= MAX_SECONDS:
         raise ValueError(f"no time: {time_s}")
     t_ns = round(time_s * 1e6) * 1000
-    payload = bytes(data or b"")
+    if not isinstance(data, bytes | None):  # bytes(N) would be N zeros
+        raise ValueError(f"no data bytes: {str(data)[:40]}")
+    payload = data or b""
     if error:
-        return LogFrame(t_ns, "can0", can_id & 0x1FFF_FFFF, payload[:8], error=True)
+        return told_error(t_ns, "can0", can_id, payload)
     return frame_of(
         t_ns, "can0", f"{can_id:X}", payload, int(dlc) if remote else len(payload),
         extended=bool(extended), remote=bool(remote), fd=len(payload) > 8,
@@ -94,8 +97,7 @@ def _bag_frame(bag_ns: int, data: bytes, topic: object) -> LogFrame:
     payload = bytes(body[at + 8 : at + 16])
     t_ns = seconds * 1_000_000_000 + nanoseconds or bag_ns
     if error:
-        frame_of(t_ns, topic, "0", b"")  # a time that can be
-        return LogFrame(t_ns, topic, can_id & 0x1FFF_FFFF, payload, error=True)
+        return told_error(t_ns, topic, can_id, payload)
     return frame_of(
         t_ns, topic, f"{can_id & 0x1FFF_FFFF:X}", payload[: dlc if not remote else 0], dlc,
         extended=bool(extended), remote=bool(remote),

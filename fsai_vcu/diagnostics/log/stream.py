@@ -6,6 +6,7 @@ import bz2
 import codecs
 import io
 import lzma
+import re
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -65,6 +66,7 @@ _PACKED: Final[tuple[tuple[bytes, Callable[[], _Unpacker]], ...]] = (
     (b"\x28\xb5\x2f\xfd", _zstandard),
 )
 _ZIP: Final = b"PK\x03\x04"
+_MACS: Final = re.compile(r"^__MACOSX/|(^|/)(\._[^/]*|\.DS_Store)$")  # what a Mac puts into an archive beside the files
 
 
 class _Bounded(io.RawIOBase):
@@ -149,12 +151,16 @@ class _Member(_Bounded):
         self._file: IO[bytes] | None = None  # until it is known to be one: what is none is read in another way
         try:
             archive = zipfile.ZipFile(file)
-            members = [member for member in archive.infolist() if not member.is_dir()]
+            members = [
+                member for member in archive.infolist() if not (member.is_dir() or _MACS.search(member.filename))
+            ]
             if len(members) != 1:
                 raise OSError(f"a zip archive of {len(members)} files: unpack it first")
             self._in = max(members[0].compress_size, 1)
             self._member = archive.open(members[0])
-        except (zipfile.BadZipFile, RuntimeError, NotImplementedError, ValueError) as error:
+        except zipfile.BadZipFile:  # what a file is whose end, the list of its members, is missing
+            raise OSError("a zip archive that is cut off, or broken") from None
+        except (RuntimeError, NotImplementedError, ValueError) as error:
             raise OSError(f"a zip archive that cannot be unpacked: {error}") from None
         self._file = file
 

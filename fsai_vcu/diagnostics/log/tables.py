@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 from fsai_vcu.diagnostics.log.problems import Problems
-from fsai_vcu.diagnostics.log.rows import Rows, frame_of, ns_of
+from fsai_vcu.diagnostics.log.rows import Rows, frame_of, ns_of, told_error
 from fsai_vcu.interface.units import MS, S
 
 _Row = dict[str, str]
@@ -30,6 +30,9 @@ class _Table(NamedTuple):
     sent: Callable[[_Row], bool | None] = lambda row: {"0": False, "1": True}.get(row.get("dir", ""))
 
 
+_FLAGS: Final = {"": False, "0": False, "false": False, "1": True, "true": True}
+
+
 def _base64(text: str) -> bytes:
     return base64.b64decode(text, validate=True)
 
@@ -39,7 +42,7 @@ def _hex(text: str) -> bytes:
 
 
 def _flag(name: str) -> Callable[[_Row], bool]:
-    return lambda row: row.get(name, "0").lower() in ("1", "true")
+    return lambda row: _FLAGS[row.get(name, "").lower()]
 
 
 def _by_number(row: _Row) -> bool:
@@ -95,13 +98,13 @@ class TableRows(Rows):
         try:
             data = table.data(row["data"] if "data" in row else row["databytes"])
             extended, sent = table.is_extended(row), table.sent(row)
+            error, remote = _flag("error")(row), _flag("remote" if "remote" in row else "rtr")(row)
             length = int(row[table.length]) if table.length else len(data)
         except (KeyError, ValueError, binascii.Error):
             raise ValueError("not a row of this table") from None
         t_ns = ns_of(row[table.time], table.unit_ns)
-        if row.get("error", "0").lower() in ("1", "true"):
-            return LogFrame(t_ns, "can0", int(row[table.id], 16) & 0x1FFF_FFFF, data[:8], error=True)
-        remote = row.get("remote", row.get("rtr", "0")).lower() in ("1", "true")
+        if error:
+            return told_error(t_ns, "can0", int(row[table.id], 16), data)
         fd = row.get("edl", "0") == "1" or length > 8
         bus = row.get("bus", row.get("buschannel", "0"))
         if not bus.isdigit() or len(bus) > 5:

@@ -59,6 +59,7 @@ _STATES: Final = (
     (0x08, CONTROLLER, PASSIVE),
     (0x04, CONTROLLER, WARNING),
 )
+_LOST: Final = 0x42  # the controller, or the queue behind it, was read too late
 _VIOLATIONS: Final = {1: SINGLE_BIT, 2: FORM, 4: STUFFING}
 
 
@@ -195,6 +196,8 @@ class TrcRows(Rows):
         for bit, kinds, controller in _STATES:
             if status & bit:
                 return error_frame(t_ns, channel, kinds, controller=controller)
+        if status & _LOST:
+            raise ValueError("frames were lost here: the recording computer was too slow")
         self.told.note("a row of a controller's status that is no error")
         return None
 
