@@ -251,10 +251,13 @@ def test_a_client_that_hears_no_answer_delays_no_other_request(rig: RosRig) -> N
 
 
 @pytest.mark.parametrize("label", ["", "cleanup", "nonsense", "x" * 1000])
-def test_a_transition_not_allowed_is_answered_no(rig: RosRig, bus: str, label: str) -> None:
+def test_a_transition_not_allowed_is_answered_no(
+    rig: RosRig, bus: str, label: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
     wrong = Transition(id=Transition.TRANSITION_CLEANUP, label=label)
     assert not rig.ask(ChangeState, "/vcu_bridge/change_state", transition=wrong).success
     assert rig.ask(GetState, "/vcu_bridge/get_state").current_state.label == "active"
+    assert "[rcl_lifecycle]" not in capfd.readouterr().err, "it would have a line for each"
     assert bridge._loop is not None and bridge._loop.running
     assert rig.ask(SetMode, "/set_mode", mode="manual").success
