@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.serving import Connection, error_page
 PROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 _MESSAGE: Final = struct.Struct("<BIQ")  # 1 for a message, the subscription, its time in ns
 _MOST_WAITING: Final = 4096  # messages for one client
-_MOST_SUBSCRIBED: Final = 10_000
+_MOST_OF_A_CHANNEL: Final = 4  # subscriptions of one client, each of which is sent every message; Foxglove has one
 _ALIVE_S: Final = 30.0  # a client answers a ping in half of it, or is gone
 _MOST_BYTES: Final = 1 << 20  # of what a client says at once
 
@@ -132,9 +132,10 @@ class Server(serving.Server):
                     subscription, channel = int(each["id"]), int(each["channelId"])
                     if not 0 <= subscription < 1 << 32 or channel not in self._numbers.values():
                         raise ValueError(channel)
-                    if sum(map(len, client.subscribed.values())) >= _MOST_SUBSCRIBED:
+                    held = client.subscribed.setdefault(channel, [])
+                    if len(held) >= _MOST_OF_A_CHANNEL:
                         return "too many subscriptions"
-                    client.subscribed.setdefault(channel, []).append(subscription)
+                    held.append(subscription)
                 return ""
             if words["op"] == "unsubscribe":
                 gone = {int(each) for each in words["subscriptionIds"]}

@@ -34,6 +34,9 @@ _SO_MEMINFO = 55  # asm-generic/socket.h
 _MEMINFO = struct.Struct("9I")  # linux/sock_diag.h: the last one is SK_MEMINFO_DROPS
 _ECHOES_OWN = frozenset({"udp_multicast"})  # python-can interfaces on which a sender receives its own frames
 _STAMPED_BY_WALL_CLOCK = frozenset({"fsai_loopback", "virtual"})  # besides SocketCAN, whose kernel does it
+# Of these the name says all. python-can's own settings (CAN_CONFIG, ~/.canrc …) are for adapters, which need a bitrate:
+# with them a bus here could bring a sender its own frames back, filter, or not open at all.
+_WITHOUT_SETTINGS = frozenset({"socketcan", "fsai_loopback", "virtual"})
 _ERROR_BUS_OFF = 0x040  # linux/can/error.h: CAN_ERR_BUSOFF, a bit of an error frame's id
 
 _Taken = tuple[int, bytes, int, bool, bool, bool]  # id, data, wall-clock stamp in ns, extended, remote, error
@@ -279,11 +282,11 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
     if kind == "socketcan":
         check_interface(channel)
     try:
-        bus = can.Bus(interface=kind, channel=channel, can_filters=filters)
+        bus = can.Bus(interface=kind, channel=channel, can_filters=filters, ignore_config=kind in _WITHOUT_SETTINGS)
         if kind == "socketcan":
             return SocketCanBus(bus, spec, may_send)
-    except (can.CanError, OSError, ValueError, NotImplementedError) as error:
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    except Exception as error:  # of python-can's many interfaces, and of its settings: they have no common base class
+        reason = " ".join((getattr(error, "strerror", None) or str(error) or type(error).__name__).split())
         raise BusError(f"cannot open CAN interface '{spec}': {reason}") from error
     return CanBus(bus, spec, may_send, wall_clock_stamps=kind in _STAMPED_BY_WALL_CLOCK)
 

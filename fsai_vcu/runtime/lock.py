@@ -88,7 +88,7 @@ class InterfaceLock:
     def answer_probes(self) -> None:
         """Let go of the processes that have asked who holds the interface; to be called now and then."""
         with contextlib.suppress(OSError):
-            while True:
+            for _ in range(_PROBES):  # not until none waits: who asks again and again would hold up the CAN loop
                 self._socket.accept()[0].close()
 
     def release(self) -> None:

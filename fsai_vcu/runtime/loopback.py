@@ -23,6 +23,7 @@ _HEADER = struct.Struct("!4s8sdIB")  # magic, sender, wall-clock time, id with S
 _MAGIC = b"fsv1"
 _EXTENDED, _REMOTE, _ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _RECEIVE_BUFFER_BYTES = 1 << 20
+_LATEST_S = float(1 << 33)  # wall-clock time that no clock says before the year 2242
 
 
 def group_of(channel: str) -> tuple[str, int]:
@@ -99,10 +100,12 @@ class LoopbackBus(can.BusABC):
         if len(datagram) < _HEADER.size:
             return None
         magic, sender, timestamp, word, length = _HEADER.unpack_from(datagram)
-        if magic != _MAGIC or sender == self._sender or length > 8:
+        if magic != _MAGIC or sender == self._sender or length > 8 or not 0.0 <= timestamp < _LATEST_S:
             return None
         extended = bool(word & _EXTENDED)
         remote = bool(word & _REMOTE)
+        if len(datagram) != _HEADER.size + (0 if remote else length):
+            return None
         return can.Message(
             timestamp=timestamp,
             arbitration_id=word & (0x1FFF_FFFF if extended else 0x7FF),

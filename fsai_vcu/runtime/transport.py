@@ -38,6 +38,7 @@ NETWORKS: Final[Mapping[str, str]] = {_RANGE: "SUBNET", _BUILTIN: "UDPv4"}
 VARIABLES: Final = (_RANGE, _PROFILES, _PROFILES_OF_3, _BUILTIN, _LOCALHOST_ONLY, _IMPLEMENTATION)
 
 _THIS_MACHINE: Final = ("", "LOCALHOST", "SYSTEM_DEFAULT")
+_RANGES: Final = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")  # rcl takes any other for LOCALHOST
 
 
 @cache
@@ -92,8 +93,10 @@ def node_ports_taken(domain: int, network: Path = Path("/proc/self/net")) -> boo
 def ros_trouble(environ: Mapping[str, str]) -> str:
     """Say in one line why ROS 2 would not start in this environment, or on another domain than was meant; or ''."""
     domain, implementation = environ.get(_DOMAIN, ""), environ.get(_IMPLEMENTATION, "")
-    if domain and not (domain.isascii() and domain.isdecimal() and int(domain[:9]) <= DOMAIN_MAX):
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain.lstrip("0")[:9] or 0) <= DOMAIN_MAX):
         return f"{_DOMAIN} is '{domain}', not a number from 0 to {DOMAIN_MAX}"
+    if (reach := environ.get(_RANGE, "")) and reach not in _RANGES:
+        return f"{_RANGE} is '{reach}', not one of {', '.join(_RANGES)}"
     if implementation:
         try:
             ctypes.CDLL(f"lib{implementation}.so")

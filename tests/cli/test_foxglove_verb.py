@@ -18,7 +18,7 @@ from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
-from fsai_vcu.diagnostics.foxglove import Server
+from fsai_vcu.diagnostics.foxglove import Server, _Client
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import REVISIONS
 
@@ -110,6 +110,16 @@ def test_only_pages_of_foxglove_and_this_machine_get_in(served: Server, origin: 
 def test_who_speaks_no_foxglove_is_refused(served: Server) -> None:
     assert handshake(served, **{"Sec-WebSocket-Protocol": "chat"}) == 426
     assert handshake(served, Upgrade="h2c") == 426
+
+
+def test_a_topic_goes_to_a_client_a_few_times_at_most() -> None:
+    """Each subscription is sent every message: with thousands the server would have no time for anybody else."""
+    server, client = Server("127.0.0.1", 0, "bus", ["/can/A", "/can/B"]), _Client()
+    server.socket.close()
+    wanted = [{"id": number, "channelId": 1 + number % 2} for number in range(10_000)]
+    assert server._take(client, json.dumps({"op": "subscribe", "subscriptions": wanted})) == "too many subscriptions"
+    assert [len(held) for held in client.subscribed.values()] == [4, 4]
+    server.loop.close()
 
 
 def test_nonsense_of_a_client_is_answered_and_ends_nothing(served: Server) -> None:

@@ -12,6 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
 
 from fsai_nodes.config_arguments import Configured, ros_arguments
 from fsai_nodes.parameters import NodeError
@@ -155,6 +158,17 @@ def test_composed_nodes_get_their_parameters_by_name() -> None:
     found = ros_arguments({"path_planner": {"laps": 3, "car": "2026"}, "vehicle_controller": {"max_speed": 4.0}})
     assert found[1:-1:2] == ["-p"] * 3
     assert found[2:-1:2] == ["path_planner:laps:=3", 'path_planner:car:="2026"', "vehicle_controller:max_speed:=4.0"]
+
+
+def test_a_text_of_any_letters_comes_to_the_node_as_it_is() -> None:
+    path = '/etc/fsai/\U0001f3ce é "x"\\n/limits.toml'
+    given = ["x", *ros_arguments({"": {"limits": path}})]
+    context = Context()
+    rclpy.init(args=given, context=context)
+    node = Node("reader", context=context)
+    assert node.declare_parameter("limits", "").value == path
+    node.destroy_node()
+    context.try_shutdown()
 
 
 def test_a_wrong_configuration_is_refused_with_its_file_and_line(tmp_path: Path) -> None:

@@ -36,8 +36,8 @@ from fsai_nodes.ackermann_adapter import AckermannAdapter
 from fsai_nodes.complaints import complaints_of
 from fsai_nodes.cone_detector import ConeDetector
 from fsai_nodes.declarations import DECLARED, key_of
-from fsai_nodes.door import MOST_GOALS, Door
-from fsai_nodes.fields import FREE, UNREAD, Kind, Number, Parts, Several, Text, Whole, printable
+from fsai_nodes.door import MOST_GOALS, MOST_KEPT, Door
+from fsai_nodes.fields import FREE, UNREAD, Kind, Number, Parts, Several, Text, Whole, listed, printable
 from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.sensor_simulator import SensorSimulator
 from fsai_nodes.vcu_bridge import VcuBridge
@@ -422,3 +422,31 @@ def test_a_goal_whose_callback_raises_is_rejected(rig: RosRig, bus: str, monkeyp
     bridge._missions.goals.update({bytes([number]): None for number in range(MOST_GOALS)})
     assert bridge._missions.action._goal_callback(RunMission.Goal()) == GoalResponse.REJECT
     bridge._missions.goals.clear()
+
+
+def test_goals_that_come_without_end_are_refused(rig: RosRig, bus: str) -> None:
+    """Each is kept for its result, and stands in every status: also one that is reached at once."""
+    bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
+    answers = [bridge._missions.action._goal_callback(RunMission.Goal()) for _ in range(MOST_KEPT + 1)]
+    assert answers == [GoalResponse.ACCEPT] * MOST_KEPT + [GoalResponse.REJECT]
+
+
+def test_names_of_many_senders_are_three_and_a_count() -> None:
+    assert listed(["b", "a", "b"], "and") == "a and b"
+    assert listed(["a\x1b[2J"], "or") == r"a\x1b[2J"
+    assert listed((f"{letter}{'x' * 250}" for letter in "abcde"), "or").endswith("(251 characters) or 2 more")
+    assert len(listed((f"{number}{'x' * 250}" for number in range(1000)), "or")) < 300
+
+
+def test_publishers_that_are_not_heard_are_said_once_a_second(rig: RosRig) -> None:
+    log = rig.log()
+    Door(rig.tester).subscription(VehicleCommand, "vehicle_cmd", print)
+    best_effort = qos.profile(1, reliable=False)
+    for _ in range(10):
+        publisher = rig.tester.create_publisher(VehicleCommand, "vehicle_cmd", best_effort)
+        rig.turns()
+        rig.tester.destroy_publisher(publisher)
+    complaints = complaints_of(rig.tester)
+    rig.spin_until(lambda: complaints.count("/vehicle_cmd, QoS") == 10, "ten mismatches")
+    assert 1 <= len(logged(log, "/vehicle_cmd", "not heard")) < 5
+    assert not logged(log, "New publisher discovered")

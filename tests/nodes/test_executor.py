@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,7 @@ from std_srvs.srv import Trigger
 
 from fsai_nodes import qos
 from fsai_nodes.complaints import complaints_of
+from fsai_nodes.executor import Answers
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings
 from fsai_nodes.vcu_bridge import VcuBridge
 
@@ -189,14 +191,73 @@ def test_a_node_error_ends_the_node(rig: RosRig) -> None:
         rig.turns(5)
 
 
+# ---------------------------------------------------------------- answers that nobody takes
+
+
+def test_an_answer_that_waits_holds_up_the_others_for_a_fifth() -> None:
+    sent: list[str] = []
+    waited: list[Any] = []
+    answers = Answers(waited.append)
+
+    def wait() -> None:
+        time.sleep(0.06)
+        sent.append("waited")
+
+    def put(service: str, send: Callable[[], None]) -> None:
+        answers.put(service, send)  # type: ignore[arg-type]
+
+    put("deaf", wait)
+    assert (sent, waited) == (["waited"], ["deaf"])
+    for _ in range(20):
+        put("deaf", wait)
+    put("emergency_brake", lambda: sent.append("braked"))
+    assert sent == ["waited"], "now there is a pause"
+    time.sleep(0.3)
+    answers.send()
+    assert sent == ["waited", "braked", "waited"]
+    for _ in range(20):
+        answers._due_ns = 0
+        answers.send()
+    assert sent.count("waited") < 15, "the oldest are given up"
+
+
+def test_a_client_that_hears_no_answer_delays_no_other_request(rig: RosRig) -> None:
+    log = rig.log()
+    node, asked = rig.add(Node("serving")), [0]
+
+    def count(_request: Any, response: Any) -> Any:
+        asked[0] += 1
+        return response
+
+    services = [node.create_service(Trigger, f"/s{number}", count) for number in range(5)]
+    deaf = qos.profile(10, kept=True)  # of what is asked; and then what is answered has to be kept, too
+    clients = [rig.tester.create_client(Trigger, each.srv_name, qos_profile=deaf) for each in services]
+    rig.turns(50)
+
+    def heard() -> bool:
+        for client in clients:
+            client.call_async(Trigger.Request())
+        rig.turns(10)
+        return bool(logged(log, "an answer waited for its client"))
+
+    rig.spin_until(heard, "an answer that waited")
+    before, begin_s = asked[0], time.monotonic()
+    while asked[0] < before + 20:
+        heard()
+    assert time.monotonic() - begin_s < 1.5, "else each takes 100 ms"
+
+
 # ---------------------------------------------------------------- the lifecycle
 
 
 @pytest.mark.parametrize("label", ["", "cleanup", "nonsense", "x" * 1000])
-def test_a_transition_not_allowed_is_answered_no(rig: RosRig, bus: str, label: str) -> None:
+def test_a_transition_not_allowed_is_answered_no(
+    rig: RosRig, bus: str, label: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     bridge = rig.start(VcuBridge, can_interface=bus, real_time=False)
     wrong = Transition(id=Transition.TRANSITION_CLEANUP, label=label)
     assert not rig.ask(ChangeState, "/vcu_bridge/change_state", transition=wrong).success
     assert rig.ask(GetState, "/vcu_bridge/get_state").current_state.label == "active"
+    assert "[rcl_lifecycle]" not in capfd.readouterr().err, "it would have a line for each"
     assert bridge._loop is not None and bridge._loop.running
     assert rig.ask(SetMode, "/set_mode", mode="manual").success

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import ast
 import os
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
 from fsai_msgs.msg import RunState, VehicleState
-from rcl_interfaces.srv import SetParameters
+from fsai_msgs.srv import SetMode
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from ros_rig import HUMBLE, RosRig
+from ros_rig import HUMBLE, RosRig, logged
 
 from fsai_hil.simulator.ground_truth import TruthReceiver
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller, visualization
+from fsai_nodes.complaints import ANSWERS
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.launch import PARAMETERS
 from fsai_nodes.parameters import NodeError, Scattered, misspelt
@@ -314,3 +319,24 @@ def test_a_misspelt_launch_argument_is_named_with_the_right_one() -> None:
     known = ["laps", "max_speed", "composed"]
     assert misspelt(["lapz", "max_speed"], known) == "unknown argument lapz: did you mean laps?"
     assert misspelt(["laps", "composed", "robot_name_of_another_file"], known) == ""
+
+
+@pytest.mark.skipif(HUMBLE, reason="Humble refuses unknown parameters itself")
+def test_requests_without_end_get_few_lines_in_the_log(rig: RosRig, bus: str) -> None:
+    """Each is answered; what a person asks is all said."""
+    log = rig.log()
+    rig.start(vcu_bridge.VcuBridge, can_interface=bus, real_time=False)
+    before = len(log)
+    begin_s = time.monotonic()
+    modes = [rig.ask(SetMode, "/set_mode", mode=f"m{number}").message for number in range(20)]
+    unknown = [ParameterMessage(name=f"p{number}", value=ParameterValue(type=1)) for number in range(50)]
+    answers = rig.ask(SetParameters, "/vcu_bridge/set_parameters", parameters=unknown).results
+    atomic = rig.ask(SetParametersAtomically, "/vcu_bridge/set_parameters_atomically", parameters=unknown).result
+    for number in range(20):
+        flag = ParameterMessage(name="publish_tf", value=ParameterValue(type=1, bool_value=bool(number % 2)))
+        assert rig.ask(SetParameters, "/vcu_bridge/set_parameters", parameters=[flag]).results[0].successful
+    seconds = time.monotonic() - begin_s
+    assert len(set(modes)) == 20 and all("unknown parameter p" in each.reason for each in answers)
+    assert atomic.reason.endswith("; and 47 more")
+    assert logged(log, "set_mode 'm0'") and logged(log, "set_mode 'm1'") and logged(log, "unknown parameter p2")
+    assert len(log) - before < 3 * ANSWERS * (seconds + 2.0)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ros_rig import RosRig
 
 from fsai_vcu.diagnostics.doctor.collect import dds_leftovers
 from fsai_vcu.runtime.transport import VARIABLES, loopback_environment
@@ -84,3 +86,17 @@ def test_leftovers_in_dev_shm_keep_no_node_from_starting(
         victim.wait(LONG_S)
         for path in {*files, *(f"{path}_el" for path in files)} & set(dds_leftovers()):
             Path(path).unlink(missing_ok=True)
+
+
+def test_the_nodes_sockets_have_room_for_a_flood(rig: RosRig) -> None:
+    """Else a request beside it is lost, and comes again after 3 s."""
+    allowed = int(Path("/proc/sys/net/core/rmem_max").read_text())
+    rig.turns()
+    rooms = []
+    for path in Path("/proc/self/fd").iterdir():
+        if not (path.is_symlink() and str(path.readlink()).startswith("socket:")):
+            continue
+        with socket.socket(fileno=os.dup(int(path.name))) as each:
+            if each.type is socket.SOCK_DGRAM and each.family is socket.AF_INET:
+                rooms.append(each.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF))
+    assert sum(room == 2 * min(allowed, 1 << 20) for room in rooms) >= 2, rooms  # the kernel doubles it

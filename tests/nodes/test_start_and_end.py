@@ -136,7 +136,7 @@ def test_a_parameter_for_every_node_is_taken_by_who_has_it(tmp_path: Path) -> No
     assert "unknown parameter lapz: did you mean laps?" in warning and "path_planner" in warning
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_bridge_says_goodbye_before_it_falls_silent(number: signal.Signals, tmp_path: Path) -> None:
     name = f"loopback:goodbye-{os.getpid()}-{int(number)}"
     codec = Codec(revision("2026"))
@@ -148,6 +148,9 @@ def test_the_bridge_says_goodbye_before_it_falls_silent(number: signal.Signals, 
             assert time.monotonic() < until, "the bridge never sent"
             frame = bus.recv(0.1)
         process.send_signal(number)
+        if number is signal.SIGHUP:  # the kernel and the shell both say it
+            time.sleep(0.02)
+            process.send_signal(number)
         assert process.wait(LONG_S) == 0
         last: dict[int, Frame] = {}
         while (frame := bus.recv(0.2)) is not None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Iterator
 from importlib.util import find_spec
 
@@ -270,3 +271,22 @@ def test_a_service_that_may_not_open_ip_sockets_opens_its_bus(monkeypatch: pytes
 def test_a_name_that_no_interface_can_have_is_an_absent_one(name: str) -> None:
     with pytest.raises(BusError, match="no CAN interface"):
         open_bus(name)
+
+
+@pytest.mark.parametrize(
+    "settings", ["{", "[1]", '{"can_filters": "x"}', '{"receive_own_messages": true, "nothing": 1}']
+)
+def test_settings_of_python_can_change_no_bus_of_ours(settings: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are the environment's, and of files in HOME; nor do they make a number of a name."""
+    monkeypatch.setenv("CAN_CONFIG", settings)
+    spec = f"loopback:{uuid.uuid4().int}"
+    with open_bus(spec) as one, open_bus(spec) as other:
+        assert one.send(Frame(0x520, b"\x01"))
+        received = other.recv(5.0)
+        assert received is not None and received.data == b"\x01"
+
+
+@pytest.mark.parametrize("spec", ["socketcand:x", "udp_multicast:0"])
+def test_what_a_kind_of_bus_cannot_be_opened_with_is_one_line(spec: str) -> None:
+    with pytest.raises(BusError, match=f"^cannot open CAN interface '{spec}': [^\n]+$"):
+        open_bus(spec)

@@ -136,3 +136,26 @@ def test_without_systemd_a_notification_does_nothing() -> None:
 
 def test_a_watchdog_meant_for_another_process_is_not_fed() -> None:
     assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_period_ns is None
+
+
+@pytest.mark.parametrize("period", ["abc", "-5", "1e9", "²", "9" * 5000])
+def test_a_period_that_is_not_systemds_is_no_watchdog(period: str) -> None:
+    assert Notifier({"WATCHDOG_USEC": period}).watchdog_period_ns is None
+
+
+def test_who_asks_for_the_holder_without_end_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Flooded:
+        accepted = 0
+
+        def accept(self) -> tuple[socket.socket, str]:
+            self.accepted += 1
+            assert self.accepted < 1000, "it would go on for ever"
+            return socket.socket(socket.AF_UNIX), ""
+
+    lock = InterfaceLock("test-flood")
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(lock, "_socket", Flooded())
+            lock.answer_probes()
+    finally:
+        lock.release()

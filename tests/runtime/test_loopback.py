@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
+from math import inf, nan
 
 import can
 import pytest
 
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime import loopback
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
 
@@ -54,3 +57,17 @@ def test_extended_and_error_frames_keep_their_kind(pair: tuple[CanBus, CanBus]) 
 def test_python_can_finds_the_interface_by_its_registered_name(spec: str) -> None:
     with can.Bus(interface="fsai_loopback", channel=spec.partition(":")[2]) as bus:
         assert "loopback bus" in bus.channel_info
+
+
+@pytest.mark.parametrize(("stamp_s", "length"), [(nan, 8), (inf, 8), (-1.0, 8), (1e300, 8), (1.0, 7), (1.0, 0)])
+def test_a_datagram_that_is_no_frame_is_passed_over(
+    stamp_s: float, length: int, spec: str, pair: tuple[CanBus, CanBus]
+) -> None:
+    one, other = pair
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        header = loopback._HEADER.pack(loopback._MAGIC, bytes(8), stamp_s, 0x520, length)
+        stranger.sendto(header + bytes(8), loopback.group_of(spec.partition(":")[2]))
+    one.send(Frame(0x521, b"\x01"))
+    received = other.recv(5.0)
+    assert received is not None and received.can_id == 0x521

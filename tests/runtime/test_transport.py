@@ -12,6 +12,7 @@ from fsai_vcu.runtime.transport import (
     PROFILE,
     loopback_environment,
     node_ports_taken,
+    ros_trouble,
     set_transport,
 )
 
@@ -90,3 +91,15 @@ def test_a_udp_port_of_a_domain_is_a_sign_of_its_nodes(tmp_path: Path) -> None:
     assert not node_ports_taken(0, tmp_path)
     (tmp_path / "udp").unlink()
     assert node_ports_taken(0, tmp_path), "a kernel that shows none"
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "000000000999", "not a number from 0 to 232"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "localhost", "not one of LOCALHOST, SUBNET, SYSTEM_DEFAULT, OFF"),
+    ],
+)
+def test_what_ros_would_take_for_something_else_is_refused(variable: str, value: str, words: str) -> None:
+    assert ros_trouble({variable: value}) == f"{variable} is '{value}', {words}"
+    assert not ros_trouble({"ROS_DOMAIN_ID": "007", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"})

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from fsai_nodes.complaints import complaints_of
+from fsai_nodes.fields import listed
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.units import S
 from fsai_vcu.runtime.clocks import AHEAD_NS, StampConverter
@@ -201,7 +202,7 @@ class Input:
     def who(self) -> str:
         """The topic, and which nodes publish it, or did."""
         topic, there = self._look()
-        names = " and ".join(self._publishers)
+        names = listed(self._publishers, "and")
         if there:
             return f"{topic} of {names}" if names else topic
         return f"{topic} of {names}, which has ended" if names else f"{topic}, which nobody publishes"
@@ -211,5 +212,5 @@ class Input:
         topic = self._node.resolve_topic_name(self._topic)
         there = {each.node_name for each in self._node.get_publishers_info_by_topic(topic)}
         # A publisher is discovered before its node's name is.
-        self._publishers = sorted(there - {"_NODE_NAME_UNKNOWN_"}) or self._publishers
+        self._publishers = list(there - {"_NODE_NAME_UNKNOWN_"}) or self._publishers
         return topic, bool(there)

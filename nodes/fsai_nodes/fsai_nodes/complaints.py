@@ -14,13 +14,15 @@ from fsai_vcu.interface.units import S
 
 SAME_EVERY_NS = S
 MOST = 100  # kinds of complaints that are told apart
+ANSWERS = 5  # lines on requests of one kind within a second: more than a person asks
 
-Level = Literal["warning", "error"]
+Level = Literal["info", "warning", "error"]
 
 
 @dataclass(slots=True)
 class _Kind:
-    said_ns: int | None = None
+    since_ns: int | None = None  # the second in hand began
+    said: int = 0  # in it
     unsaid: int = 0
     count: int = 0
 
@@ -34,23 +36,33 @@ class Complaints:
         self._kinds: dict[str, _Kind] = {}
         self._diagnostics = publisher(node, DiagnosticArray, "diagnostics") if publishes else None
 
-    def say(self, kind: str, text: str, level: Level = "warning", now_ns: int | None = None) -> None:
-        """Say a complaint. `kind`: what is complained of, such as a topic; `text`: one sentence."""
+    def say(
+        self, kind: str, text: str, level: Level = "warning", now_ns: int | None = None, *, at_once: int = 1
+    ) -> None:
+        """Say a complaint. `kind`: what is complained of, such as a topic; `text`: one sentence.
+
+        at_once: how many of a kind are said within a second. An "info" is none, and is for the log alone.
+        """
         now_ns = time.monotonic_ns() if now_ns is None else now_ns
         if kind not in self._kinds and len(self._kinds) >= MOST:
             kind = "more"
         one = self._kinds.setdefault(kind, _Kind())
         one.count += 1
         one.unsaid += 1
-        if one.said_ns is not None and now_ns - one.said_ns < SAME_EVERY_NS:
+        if one.since_ns is None or now_ns - one.since_ns >= SAME_EVERY_NS:
+            one.since_ns, one.said = now_ns, 0
+        if one.said >= at_once:
             return
         line = text if one.unsaid == 1 else f"{text} [{one.unsaid} times]"
-        one.said_ns, one.unsaid = now_ns, 0
+        one.said, one.unsaid = one.said + 1, 0
         # One line of source for each: rclpy ties a severity to it.
         if level == "error":
             self._node.get_logger().error(line)
-        else:
+        elif level == "warning":
             self._node.get_logger().warning(line)
+        else:
+            self._node.get_logger().info(line)
+            return
         self._publish(kind, line, level, one.count)
 
     def count(self, kind: str) -> int:

@@ -62,6 +62,7 @@ def ros_arguments(parameters: Mapping[str, Mapping[str, Plain]]) -> list[str]:
     for node, values in parameters.items():
         for name, value in values.items():
             if value != "":
-                # JSON is YAML, which is what ROS takes a value for: a text in quotes stays a text.
-                words += ["-p", f"{node}{':' if node else ''}{name}:={json.dumps(value)}"]
+                # JSON is YAML, which is what ROS takes a value for: a text in quotes stays a text. But YAML knows no
+                # letter in two escapes.
+                words += ["-p", f"{node}{':' if node else ''}{name}:={json.dumps(value, ensure_ascii=False)}"]
     return ["--ros-args", *words, "--"] if words else []

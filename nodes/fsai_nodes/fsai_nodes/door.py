@@ -11,6 +11,7 @@ declarations; a type that is not there makes no subscription and no service.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -23,8 +24,8 @@ from rclpy.service import Service
 
 from fsai_nodes.complaints import complaints_of
 from fsai_nodes.declarations import BYTES, DECLARED, MOST_BYTES, declared, key_of
-from fsai_nodes.fields import Parts, Several, printable
-from fsai_nodes.middleware import gid_of, taker
+from fsai_nodes.fields import Parts, Several, listed, printable
+from fsai_nodes.middleware import gid_of, on_mismatch, taker
 from fsai_nodes.parameters import NodeError
 from fsai_nodes.qos import TOPICS
 from fsai_vcu.interface.units import S
@@ -32,6 +33,7 @@ from fsai_vcu.interface.units import S
 RECORDED_BYTES = 16 * 1024 * 1024  # of a message that is only recorded
 KEPT_RESULTS_S = 60  # for a client that asks for a goal's result late
 MOST_GOALS = 16  # followed at once
+MOST_KEPT = 200  # goals within KEPT_RESULTS_S: each is in every status that the action publishes
 _LOOK_EVERY_NS = S // 5  # for a sender that is not known yet: to ask at each message is slow
 
 NOT_KNOWN = "_NODE_NAME_UNKNOWN_"  # a publisher is discovered before its node's name is
@@ -56,7 +58,7 @@ class Senders:
             self._look()
         if gid is not None and gid in self._names:
             return self._names[gid]
-        return " or ".join(sorted(set(self._names.values()))) if gid is None else ""
+        return listed(self._names.values(), "or") if gid is None else ""
 
     def present(self) -> frozenset[bytes]:
         """Return the GIDs of the nodes that publish it now."""
@@ -64,7 +66,7 @@ class Senders:
 
     def _look(self) -> list[Any]:
         found: list[Any] = self._node.get_publishers_info_by_topic(self._topic)
-        self._names = {gid_of(each): each.node_name for each in found if each.node_name != NOT_KNOWN}
+        self._names = {gid_of(each): printable(each.node_name) for each in found if each.node_name != NOT_KNOWN}
         return found
 
 
@@ -162,15 +164,22 @@ class Door:
         """An action whose goals are declared. under_way: how many goals are being followed."""
         parts = declared(kind.Goal)
         whole = self._node.resolve_topic_name(name)
+        taken_ns: deque[int] = deque(maxlen=MOST_KEPT)
 
         def refused_or(request: Any) -> GoalResponse:
+            now_ns = time.monotonic_ns()
             words = parts.misfit(request, "")
             if not words and under_way() >= MOST_GOALS:
                 words = f"{MOST_GOALS} goals are being followed already"
+            if not words and len(taken_ns) == MOST_KEPT and now_ns - taken_ns[0] < KEPT_RESULTS_S * S:
+                words = f"{MOST_KEPT} goals came within {KEPT_RESULTS_S} s"
             if words:
                 self.refuse(whole, "", words)
                 return GoalResponse.REJECT
-            return self._answer(whole, goal, request, GoalResponse.REJECT)
+            response = self._answer(whole, goal, request, GoalResponse.REJECT)
+            if response == GoalResponse.ACCEPT:
+                taken_ns.append(now_ns)
+            return response
 
         return ActionServer(
             self._node,
@@ -216,7 +225,9 @@ class Door:
             self.complaints.say(whole, f"{whole}{f' of {who}' if who else ''}: {words}")
 
     def _subscribe(self, kind: type[Any], topic: str, taken: Callable[..., None], qos: QoSProfile) -> Any:
-        subscription = self._node.create_subscription(kind, topic, taken, qos, raw=True)
+        whole = self._node.resolve_topic_name(topic)
+        heard = on_mismatch(lambda words: self.complaints.say(f"{whole}, QoS", f"{whole}: {words}"))
+        subscription = self._node.create_subscription(kind, topic, taken, qos, raw=True, **heard)
         by_hand = taker()
         if by_hand is not None:
             subscription.take = by_hand.take

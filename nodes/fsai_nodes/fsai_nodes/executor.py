@@ -7,6 +7,9 @@ A service whose callback raises answers with what its response is by default, su
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
@@ -19,9 +22,47 @@ from fsai_nodes.door import refusal_of_request
 from fsai_nodes.fields import printable
 from fsai_nodes.middleware import Take, TakingExecutor
 from fsai_nodes.parameters import NodeError
-from fsai_vcu.interface.units import S
+from fsai_vcu.interface.units import MS, S
 
 NOTHING_BUT_NS = S  # a callback that has only raised for so long says so
+WAITED_NS = 50 * MS  # an answer that took so long waited for its client: usually one takes a thousandth of it
+_PAUSES = 4  # times that, before the next answer: who does not take his may take a fifth of the time
+_MOST_UNSENT = 8  # answers of a service that wait; the oldest are given up
+
+
+class Answers:
+    """Answers of services, each sent at once; but the middleware waits up to 100 ms for a client that is not there.
+
+    It does so when a client's QoS keeps it from hearing the answer, too, each time, and nothing else is done meanwhile.
+    After such an answer the next ones pause, so that what is asked is carried out all the same; then that service's
+    come first which had to wait least recently.
+    """
+
+    def __init__(self, say: Callable[[Service], None]) -> None:
+        """say: called with a service of which an answer waited."""
+        self._say = say
+        self._unsent: dict[Service, deque[Callable[[], None]]] = {}
+        self._waited_ns: dict[Service, int] = {}  # when it last did
+        self._due_ns = 0
+
+    def put(self, service: Service, send: Callable[[], None]) -> None:
+        """Take in an answer, which `send` sends."""
+        self._unsent.setdefault(service, deque(maxlen=_MOST_UNSENT)).append(send)
+        self.send()
+
+    def send(self) -> None:
+        """Send what may be sent now."""
+        while self._unsent and (begin_ns := time.monotonic_ns()) >= self._due_ns:
+            service = min(self._unsent, key=lambda each: self._waited_ns.get(each, 0))
+            send = self._unsent[service].popleft()
+            if not self._unsent[service]:
+                del self._unsent[service]
+            send()
+            end_ns = time.monotonic_ns()
+            if end_ns - begin_ns >= WAITED_NS:
+                self._waited_ns[service] = end_ns
+                self._due_ns = end_ns + _PAUSES * (end_ns - begin_ns)
+                self._say(service)
 
 
 class NodeExecutor(TakingExecutor):
@@ -31,10 +72,12 @@ class NodeExecutor(TakingExecutor):
         super().__init__(**options)
         self._running: tuple[Any, Node | None] = None, None  # the entity whose callback runs, and its node
         self._raising: dict[str, int] = {}  # what has done nothing but raise, and since when
+        self._answers = Answers(self._say_unheard)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         self._running = None, None
         try:
+            self._answers.send()
             super().spin_once(timeout_sec)
         except (NodeError, ExternalShutdownException):
             raise
@@ -102,7 +145,17 @@ class NodeExecutor(TakingExecutor):
     def _take_service(self, service: Service) -> Any:
         if not hasattr(service.callback, "answers"):
             service.callback = self._answering(service, self._running[1])
+            service.send_response = partial(self._send, service, service.send_response)
         return self._guarded(super()._take_service, service)
+
+    def _send(self, service: Service, send: Callable[[Any, Any], None], response: Any, header: Any) -> None:
+        self._answers.put(service, partial(send, response, header))
+
+    def _say_unheard(self, service: Service) -> None:
+        what = _name(service)
+        words = f"{what}: an answer waited for its client; has that one ended, or another QoS than services?"
+        for each in list(self.get_nodes())[:1]:
+            complaints_of(each).say(f"{what}, answers", words)
 
     def _answering(self, service: Service, node: Node | None) -> Any:
         """The service's callback; an answer comes also where it raises, or where the request does not fit."""

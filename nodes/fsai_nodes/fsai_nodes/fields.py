@@ -7,7 +7,7 @@ does not fit. Columns of numbers in arrays are judged as a whole.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 from fsai_vcu.printable import printable as whole_printable
 
 SHOWN = 60  # characters of a value that a sentence repeats
+NAMED = 3  # things that a sentence names; the others are counted
 
 
 def printable(text: str, most: int = SHOWN) -> str:
@@ -31,6 +32,13 @@ def shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return printable(str(value)) if isinstance(value, (int, bytes)) else f"of type {type(value).__name__}"
+
+
+def listed(names: Iterable[str], last: str) -> str:
+    """Names of others as a sentence has them, such as 'a or b': the first ones, and how many more there are."""
+    those = sorted(set(names))
+    more = len(those) - NAMED
+    return f" {last} ".join([*map(printable, those[:NAMED]), *([f"{more} more"] if more > 0 else [])])
 
 
 class Kind:

@@ -16,6 +16,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import SingleThreadedExecutor, await_or_execute
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import qos_policy_name_from_kind as policy_name
 from rclpy.subscription import Subscription
 
 _GID_BYTES = 16  # what all versions have of it
@@ -39,6 +40,21 @@ def without_events() -> dict[str, Any]:
         from rclpy.qos_event import PublisherEventCallbacks
 
     return {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
+
+
+def on_mismatch(say: Callable[[str], None]) -> dict[str, Any]:
+    """Arguments of create_subscription with which `say` is called for each publisher whose QoS keeps it from being
+    heard; rclpy's own callback has a line for each, however many come and go.
+    """
+    try:
+        from rclpy.event_handler import SubscriptionEventCallbacks
+    except ModuleNotFoundError:  # Humble
+        from rclpy.qos_event import SubscriptionEventCallbacks
+
+    def mismatch(event: Any) -> None:
+        say(f"a publisher is not heard, for it offers too little (QoS: {policy_name(event.last_policy_kind)})")
+
+    return {"event_callbacks": SubscriptionEventCallbacks(incompatible_qos=mismatch)}
 
 
 def on_parameters(

@@ -20,7 +20,8 @@ from rclpy.exceptions import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fsai_nodes.fields import shown
+from fsai_nodes.complaints import ANSWERS, complaints_of
+from fsai_nodes.fields import NAMED, printable, shown
 from fsai_nodes.middleware import on_parameters
 from fsai_vcu.files import SETTINGS_BYTES, read_named
 from fsai_vcu.runtime.configuration import KEYS
@@ -249,7 +250,7 @@ class Settings:
         """Say that a parameter is unknown; `also`: other names that may have been meant."""
         close = next(iter(get_close_matches(name, [*self._table, *also], n=1)), None)
         words = f"did you mean {close}?" if close else f"{self._node.get_name()} has {', '.join(self._table)}"
-        return f"unknown parameter {name}: {words}"
+        return f"unknown parameter {printable(name)}: {words}"
 
     def _refuse_unknown(self) -> None:
         """Look at what was given at start; rclpy ignores what no node declares."""
@@ -273,18 +274,24 @@ class Settings:
             raise NodeError("; ".join(refused))
 
     def _only_known(self, parameters: list[Parameter]) -> list[Parameter]:
-        unknown = [self._unknown(each.name) for each in parameters if not self._node.has_parameter(each.name)]
+        unknown = [each.name for each in parameters if not self._node.has_parameter(each.name)]
         if unknown:
-            self._node.get_logger().warning(f"parameter refused: {'; '.join(unknown)}")
-            raise _UnknownParameter("; ".join(unknown))
+            words = "; ".join(map(self._unknown, unknown[:NAMED]))
+            if len(unknown) > NAMED:
+                words += f"; and {len(unknown) - NAMED} more"
+            self._refused(words)
+            raise _UnknownParameter(words)
         return parameters
 
     def _accept(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         for parameter in parameters:
             if problem := self._why_not(parameter):
-                self._node.get_logger().warning(f"parameter refused: {problem}")
+                self._refused(problem)
                 return SetParametersResult(successful=False, reason=problem)
         return SetParametersResult(successful=True)
+
+    def _refused(self, words: str) -> None:
+        complaints_of(self._node).say("parameters", f"parameter refused: {words}", at_once=ANSWERS)
 
     def _why_not(self, parameter: Parameter) -> str | None:
         """Say why it cannot be set; None where it can."""
@@ -301,5 +308,6 @@ class Settings:
     def _changed(self, parameters: Iterable[Parameter]) -> None:
         for parameter in parameters:
             if parameter.name in self._table:
-                self._node.get_logger().info(f"{parameter.name} is now {parameter.value}")
+                line = f"{parameter.name} is now {parameter.value}"
+                complaints_of(self._node).say("parameters set", line, "info", at_once=ANSWERS)
                 self._on_change(parameter.name)

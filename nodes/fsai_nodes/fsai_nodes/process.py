@@ -1,4 +1,4 @@
-"""One node, or several composed, as a process: start, spin, end; errors as one line; Ctrl-C and SIGTERM in order."""
+"""One node, or several composed, as a process: start, spin, end; errors as one line; signals in order."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from fsai_nodes.parameters import NodeError
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.transport import ros_trouble, set_transport
 
-_STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
+_STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}  # the last one: the terminal is closed
 
 
 def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run the nodes that `factories` make until SIGINT or SIGTERM; returns the exit status.
+    """Run the nodes that `factories` make until SIGINT, SIGTERM or SIGHUP; returns the exit status.
 
     `name`: of the node, or 'composed'; its settings are those of --config, where the command line has one.
     A node that cannot start or go on raises NodeError: its line goes to stderr after `name`, and the status is 1.
@@ -106,7 +106,7 @@ def _tell_systemd(node: Node) -> None:
 
 
 class _StopSignals:
-    """SIGINT and SIGTERM as an event, from whatever thread the kernel hands them to.
+    """SIGINT, SIGTERM and SIGHUP as an event, from whatever thread the kernel hands them to.
 
     The main thread waits inside the middleware, where Python's handlers do not run; Python's wake-up descriptor is
     written at once, and a thread reads it.
@@ -119,7 +119,8 @@ class _StopSignals:
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         for number in _STOP_SIGNALS:
-            signal.signal(number, lambda _number, _frame: None)
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, lambda _number, _frame: None)
         threading.Thread(target=self._read, name="signals", daemon=True).start()
 
     def wake(self, wake: Callable[[], object]) -> None:
@@ -133,6 +134,8 @@ class _StopSignals:
             for number in os.read(self._reader, 16):
                 if number not in _STOP_SIGNALS:
                     continue
+                if self.received.is_set() and number == signal.SIGHUP:
+                    continue  # the kernel and the shell both say that a terminal is closed
                 if self.received.is_set():
                     # A second one means now: silence on the bus stops the car as well.
                     os._exit(128 + number)

@@ -18,12 +18,14 @@ from typing import Any
 from fsai_msgs.msg import ResetConfirmation, VehicleCommand
 from fsai_msgs.srv import SetMode
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from fsai_nodes.bridge_outputs import BridgeOutputs
 from fsai_nodes.clocks import Clocks, Input
 from fsai_nodes.command_owner import CommandOwner
+from fsai_nodes.complaints import ANSWERS, complaints_of
 from fsai_nodes.conversions import (
     command_from_msg,
 )
@@ -129,6 +131,8 @@ class VcuBridge(LifecycleNode):
     def __init__(self, **options: object) -> None:
         """Declare the parameters, and configure and activate the node unless set otherwise."""
         super().__init__("vcu_bridge", **options)
+        # It has a line on each transition that is not allowed; NodeExecutor says that, too, and not each time.
+        set_logger_level("rcl_lifecycle", LoggingSeverity.ERROR)
         self._trouble = ""  # why the last transition failed
         self._starting = True  # this constructor runs
         self._last_answer = ""
@@ -242,7 +246,7 @@ class VcuBridge(LifecycleNode):
     def _report_failure(self, why: str) -> None:
         self._trouble = why
         if not self._starting:  # else the process ends with this line
-            self.get_logger().error(f"the lifecycle transition failed: {why}")
+            complaints_of(self).say("lifecycle", f"the lifecycle transition failed: {why}", "error", at_once=ANSWERS)
 
     def _end_loop(self) -> None:
         loop, self._loop = self._loop, None
@@ -385,7 +389,7 @@ class VcuBridge(LifecycleNode):
         line = f"{request}: {message}"
         if line != self._last_answer:
             self._last_answer = line
-            self.get_logger().info(line)
+            complaints_of(self).say(request.partition(" ")[0], line, "info", at_once=ANSWERS)
         return done, message
 
     # ------------------------------------------------------------ from the car to ROS
@@ -447,7 +451,7 @@ class VcuBridge(LifecycleNode):
     def _refuses_goals(self) -> bool:
         """Return true, and say so, where no run can be followed."""
         if self._loop is None:
-            self.get_logger().error(f"run_mission refused: {_INACTIVE}")
+            complaints_of(self).say("run_mission", f"run_mission refused: {_INACTIVE}", "error")
         return self._loop is None
 
     def _stop_for_a_goal(self) -> bool:
