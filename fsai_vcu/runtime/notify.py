@@ -16,10 +16,8 @@ class Notifier:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
         if self._socket is not None:
             self._socket.setblocking(False)
-        words = env.get("WATCHDOG_USEC", "")
-        usec = (
-            int(words) if words.isascii() and words.isdecimal() and len(words) < 20 else 0
-        )  # else it is not systemd's
+        words = env.get("WATCHDOG_USEC", "")  # systemd writes digits; anything else is not its word
+        usec = int(words) if words.isascii() and words.isdecimal() and len(words) < 20 else 0
         mine = env.get("WATCHDOG_PID", "") in ("", str(os.getpid()))
         # Half of the time that systemd allows, as its documentation recommends.
         self.watchdog_period_ns: int | None = usec * 500 if usec and mine else None

@@ -26,16 +26,16 @@ from fsai_vcu.interface.units import MS, S
 
 NOTHING_BUT_NS = S  # a callback that has only raised for so long says so
 WAITED_NS = 50 * MS  # an answer that took so long waited for its client: usually one takes a thousandth of it
-_PAUSES = 4  # times that, before the next answer: who does not take his may take a fifth of the time
+_PAUSES = 4  # times that, before the next answer: clients that take none cost a fifth of the time at most
 _MOST_UNSENT = 8  # answers of a service that wait; the oldest are given up
 
 
 class Answers:
-    """Answers of services, each sent at once; but the middleware waits up to 100 ms for a client that is not there.
+    """Answers of services, each sent at once unless an earlier one had to wait for its client.
 
-    It does so when a client's QoS keeps it from hearing the answer, too, each time, and nothing else is done meanwhile.
-    After such an answer the next ones pause, so that what is asked is carried out all the same; then that service's
-    come first which had to wait least recently.
+    The middleware waits up to 100 ms for a client that is gone, or whose QoS keeps it from receiving the answer, and
+    the node does nothing else meanwhile. After such an answer the next ones pause, so that requests are still carried
+    out; then the service whose answers waited longest ago comes first.
     """
 
     def __init__(self, say: Callable[[Service], None]) -> None:
