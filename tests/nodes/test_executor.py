@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from fsai_nodes import qos
 from fsai_nodes.complaints import complaints_of
-from fsai_nodes.executor import Answers
+from fsai_nodes.executor import ServiceAnswers
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings
 from fsai_nodes.vcu_bridge import VcuBridge
 
@@ -197,7 +197,7 @@ def test_a_node_error_ends_the_node(rig: RosRig) -> None:
 def test_an_answer_that_waits_holds_up_the_others_for_a_fifth() -> None:
     sent: list[str] = []
     waited: list[Any] = []
-    answers = Answers(waited.append)
+    answers = ServiceAnswers(waited.append)
 
     def wait() -> None:
         time.sleep(0.06)

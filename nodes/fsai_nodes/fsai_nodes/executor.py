@@ -30,8 +30,8 @@ _PAUSES = 4  # times that, before the next answer: clients that take none cost a
 _MOST_UNSENT = 8  # answers of a service that wait; the oldest are given up
 
 
-class Answers:
-    """Answers of services, each sent at once unless an earlier one had to wait for its client.
+class ServiceAnswers:
+    """ServiceAnswers of services, each sent at once unless an earlier one had to wait for its client.
 
     The middleware waits up to 100 ms for a client that is gone, or whose QoS keeps it from receiving the answer, and
     the node does nothing else meanwhile. After such an answer the next ones pause, so that requests are still carried
@@ -72,7 +72,7 @@ class NodeExecutor(TakingExecutor):
         super().__init__(**options)
         self._running: tuple[Any, Node | None] = None, None  # the entity whose callback runs, and its node
         self._raising: dict[str, int] = {}  # what has done nothing but raise, and since when
-        self._answers = Answers(self._say_unheard)
+        self._answers = ServiceAnswers(self._say_unheard)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         self._running = None, None
