@@ -23,7 +23,7 @@ from fsai_vcu.interface.units import S
 from fsai_vcu.interface.values import Value
 
 STANDS_S: Final = 4.0  # at rest: it has stopped, and does not see its way again
-LATEST_S: Final = 100.0  # in AS_DRIVING; longer where the way is so long …
+LATEST_S: Final = 100.0  # in AS_DRIVING and moving; longer where the way is so long …
 SLOWEST_MPS: Final = 2.0  # … that a car which drives no faster in the mean has not come to its end by then
 LOOK_NS: Final = 50_000_000
 BLIND_S: Final = 2.0
@@ -81,7 +81,7 @@ class HardDrive:
         self.notes: list[str] = []  # of the plans of a car that is lost
         self.told: set[str] = set()  # to people, meanwhile
         lockstep.detector = self._detected
-        world, stood_ns, next_look_ns = lockstep.world, 0, 0
+        world, stood_ns, moved_ns, next_look_ns = lockstep.world, 0, 0, 0
         wheels_off = 0
         latest_s = max(LATEST_S, track.length_m / SLOWEST_MPS)
         while not world.done and wheels_off < 2 and stood_ns < STANDS_S * S:
@@ -94,7 +94,8 @@ class HardDrive:
                 wheels_off = self._look()
                 stands = world.car.speed_mps < 0.05 and lockstep.now_ns > self._driving_ns + 6 * S
                 stood_ns = stood_ns + LOOK_NS if stands else 0
-                if lockstep.now_ns > self._driving_ns + latest_s * S:
+                moved_ns += 0 if stands else LOOK_NS
+                if moved_ns > latest_s * S:
                     break
         if wheels_off >= 2:
             self.ending = DriveEnd.LEFT
