@@ -154,7 +154,8 @@ class Connection(web.RequestHandler):
     """One connection, ended when its patience is: a request, or what is written, must come to its end in time."""
 
     def __init__(self, manager: web.Server, server: Server) -> None:
-        super().__init__(manager, loop=server.loop)
+        # A request that is answered here needs no body: what somebody sends of one is neither waited for nor unpacked.
+        super().__init__(manager, loop=server.loop, lingering_time=0.0, auto_decompress=False)
         self.server = server
         self.own = self._peer = ""
         self._timer: asyncio.TimerHandle | None = None
@@ -186,7 +187,8 @@ class Connection(web.RequestHandler):
 
     def handle_error(self, request: web.BaseRequest, status: int = 500, *why: Any, **words: Any) -> web.StreamResponse:
         """The answer to what is no request, and to an error of this server."""
-        if status == HTTPStatus.INTERNAL_SERVER_ERROR:
+        gone = any(isinstance(each, ConnectionError) for each in why)  # a client that went away is no error
+        if status == HTTPStatus.INTERNAL_SERVER_ERROR and not gone:
             super().handle_error(request, status, *why, **words)  # logs it
         return error_page(HTTPStatus(status))
 

@@ -362,6 +362,27 @@ def test_a_viewer_that_goes_away_is_counted_no_more(server: Server, capfd: pytes
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_client_that_is_gone_before_the_answer_is_no_error(
+    server: Server, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def nobody(*_: object) -> None:
+        raise ConnectionResetError("Cannot write to closing transport")
+
+    monkeypatch.setattr(server, "answer", nobody)
+    assert asked(server, "GET", "/events").status == 500
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("headers", [b"Content-Length: 5\r\nContent-Encoding: gzip\r\n", b"Content-Length: 9\r\n"])
+def test_a_body_is_neither_unpacked_nor_waited_for(
+    server: Server, headers: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_connection(server.server_address[:2], timeout=5) as client, client.makefile("rb") as answer:
+        client.sendall(b"GET /x HTTP/1.1\r\nHost: localhost\r\n" + headers + b"\r\nhello")
+        assert answer.read().endswith(b"404 Not Found\n"), "and the connection has ended"
+    assert not caplog.records
+
+
 def test_more_connections_than_are_allowed_are_closed(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serving, "TIMEOUT_S", 1000.0)  # not for being idle
     with ExitStack() as connections:
