@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.export.writing import NEEDS
 
 GOOD = "(1.000000) can0 523#640064006400\n"
 
@@ -173,6 +174,24 @@ def test_a_pipe_or_a_device_is_not_replaced(log: Path, capsys: pytest.CaptureFix
     assert main(["export", str(log), "--format", "csv", "--wide", "-o", str(pipe)]) == 1
     assert f"{pipe} is a device or a pipe" in capsys.readouterr().err
     assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("target", ["victim.csv", "nowhere/out.csv", "link.csv"])
+def test_a_link_is_neither_followed_nor_replaced(log: Path, capsys: pytest.CaptureFixture[str], target: str) -> None:
+    link, victim = log.with_name("link.csv"), log.with_name("victim.csv")
+    victim.write_text("of somebody else")
+    link.symlink_to(target)
+    assert main(["export", str(log), "--wide", "-o", str(link)]) == 1
+    assert f"{link} is a link" in capsys.readouterr().err
+    assert link.is_symlink() and victim.read_text() == "of somebody else"
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mcap", "mf4"])
+def test_a_file_may_have_any_name_its_system_has(log: Path, form: str) -> None:
+    pytest.importorskip(NEEDS.get(form, "numpy"), reason=f"not installed: pip install 'fsai-vcu[{form}]'")
+    out = log.with_name("o\udcff")
+    assert main(["export", str(log), "--format", form, "-o", str(out)]) == 0
+    assert out.exists()
 
 
 def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

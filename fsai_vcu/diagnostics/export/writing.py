@@ -73,10 +73,11 @@ def export(
         raise UserError(f"{path} is {what} already; name a new folder for the tables")
     if not folder and path.is_dir():
         raise UserError(f"{path} is a folder; name a file")
-    if path.exists() and not path.is_dir() and not path.is_file():
-        raise UserError(f"{path} is a device or a pipe, which a file would replace; name a file")
+    if path.is_symlink() or (path.exists() and not path.is_dir() and not path.is_file()):
+        what = "a link" if path.is_symlink() else "a device or a pipe"
+        raise UserError(f"{path} is {what}, which a file would replace; name a file")
     # Beside its place, so that it can be moved there in one step.
-    work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.resolve().parent))
+    work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
         whole = work / f"whole.{form}"
         if folder:
