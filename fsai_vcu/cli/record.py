@@ -25,6 +25,7 @@ from fsai_vcu.diagnostics.log.live import Listener
 from fsai_vcu.diagnostics.log.recorded import lost_words
 from fsai_vcu.diagnostics.recorder.recording import Recording
 from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
+from fsai_vcu.files import is_folder
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_configuration
@@ -245,7 +246,7 @@ def _say(text: str) -> None:
 def _bounds(args: argparse.Namespace) -> Bounds:
     keep_free = _size(args.keep_free, "--keep-free")
     given = {option: getattr(args, option) for option in _BOUNDS}
-    if args.output.suffix != "" and not args.output.is_dir():
+    if args.output.suffix != "" and not is_folder(args.output):
         for option in (option for option, text in given.items() if text is not None):
             raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
         return Bounds(keep_free_bytes=keep_free)
