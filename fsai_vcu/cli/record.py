@@ -28,6 +28,7 @@ from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
 from fsai_vcu.files import is_folder
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.printable import printable
 from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_configuration
 from fsai_vcu.runtime.limits_file import limits_in, read_limits_text
 
@@ -279,7 +280,7 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
             "host": platform.node(),
             "interface": args.interface,
             "revision": revision(args.revision).name,
-            "databases": [str(path) for path in args.dbc],
+            "databases": [printable(str(path)) for path in args.dbc],
             "operational_limits": None,
         }
         if args.limits is not None:
@@ -288,7 +289,7 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
                 "in_force": list(limits_in(content, args.limits).described()),
                 "content": content,
                 "sha256": hashlib.sha256(content.encode()).hexdigest(),
-                "file": str(args.limits),
+                "file": printable(str(args.limits)),
             }
     except ValueError as error:
         raise UserError(str(error)) from error
