@@ -127,7 +127,7 @@ class Server:
         except ValueError:
             return name in self.names
         here = _plain(ipaddress.ip_address(own))
-        return _plain(address) == here or (address.is_loopback and here.is_loopback)
+        return _plain(address) == here or ((address.is_loopback or address.is_unspecified) and here.is_loopback)
 
     def is_origin(self, origin: str, host: str) -> bool:
         """Return true where a page from there may ask."""

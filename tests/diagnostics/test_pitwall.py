@@ -293,7 +293,8 @@ def test_a_foreign_name_that_leads_here_is_refused(host: str) -> None:
         for name in foreign:
             for path in ("/", "/events"):
                 assert asked(server, "GET", path, f"{name}:{port}", to=host).status == 421, name
-        for name in (f"localhost:{port}", f"LOCALHOST:{port}", f"127.0.0.1:{port}", f"[::1]:{port}", "localhost"):
+        ours = ("localhost", "LOCALHOST", "0.0.0.0", "[::]", "127.0.0.1", "[::1]")
+        for name in (*(f"{own}:{port}" for own in ours), "localhost"):
             assert asked(server, "GET", "/", name, to=host).status == 200, name
         for origin in ("https://evil.example", "null", "file://", f"http://localhost:{port + 1}", "http://[::1"):
             assert asked(server, "GET", "/", f"localhost:{port}", origin, to=host).status == 403, origin
