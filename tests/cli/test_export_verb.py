@@ -158,6 +158,39 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     process.stderr.close()
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_who_ends_an_export_finds_nothing_half_made(
+    number: signal.Signals, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ended(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), number)
+        raise AssertionError("went on")
+
+    monkeypatch.setattr("fsai_vcu.diagnostics.export.writing.Tables", ended)
+    monkeypatch.setattr(signal, "getsignal", lambda _: signal.SIG_DFL)
+    before = signal.signal(number, lambda *_: None)  # that would end pytest
+    try:
+        assert main(["export", str(log), "--format", "csv", "-o", str(log.with_name("tables"))]) == 130
+        assert signal.signal(number, signal.SIG_DFL) == signal.SIG_DFL, "as it was taken to be"
+    finally:
+        signal.signal(number, before)
+    assert capsys.readouterr().err == "fsai-vcu export: interrupted\n" and list(log.parent.iterdir()) == [log]
+
+
+@pytest.mark.parametrize("name", ["-rf", "N" * 300, "ü" * 300])
+def test_a_table_of_any_name_has_a_file_of_its_own(name: str, log: Path) -> None:
+    dbc, out = log.with_name("x.dbc"), log.with_name("tables")
+    dbc.write_text(
+        'VERSION ""\n\nBU_: A\n\nBO_ 1315 M: 6 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\n\n'
+        'BA_DEF_ BO_ "SystemMessageLongSymbol" STRING ;\nBA_DEF_DEF_ "SystemMessageLongSymbol" "";\n'
+        f'BA_ "SystemMessageLongSymbol" BO_ 1315 "{name}";\n',
+        encoding="cp1252",
+    )
+    assert main(["export", str(log), "--dbc", str(dbc), "--format", "csv", "-o", str(out)]) == 0
+    (made,) = out.iterdir()
+    assert made.name[0] != "-" and made.stem in name
+
+
 @pytest.mark.parametrize(("form", "package"), [("parquet", "pyarrow"), ("mcap", "mcap"), ("mf4", "asammdf")])
 def test_a_missing_extra_is_the_line_that_installs_it(
     form: str, package: str, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

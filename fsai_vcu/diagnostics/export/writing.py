@@ -26,6 +26,7 @@ NEEDS: Final = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
 """Package that must be installed for a format; the extra has the format's name."""
 _A_FILE_EACH: Final = ("csv", "parquet")
 _AT_ONCE: Final = 200_000  # frames
+_NAME_BYTES: Final = 200  # of a table's file: a file system takes 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +133,7 @@ def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None])
 
 def _new_file(folder: Path, form: str, table: Table) -> Path:
     """A file for each table, whatever its name has in it."""
-    stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".") or "table"
+    stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".-") or "table"  # what begins with '-' other programs obey
+    stem = stem.encode()[:_NAME_BYTES].decode(errors="ignore")
     names = chain([stem], (f"{stem}-{number}" for number in count(2)))
     return next(path for name in names if not (path := folder / f"{name}.{form}").exists())
