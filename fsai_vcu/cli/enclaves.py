@@ -74,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
 def _give(keystore: Path) -> str:
     """Give each key to its users, and to nobody else; return why that could not be done, or ''.
 
-    The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's.
+    The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's. The
+    folders stay root's, too: into one of its own a service could put links, which lead the next call elsewhere.
     """
     lacking = ""
     try:
@@ -95,7 +96,7 @@ def _give(keystore: Path) -> str:
         elif enclave is not None:
             mode = 0o700
             if not lacking and enclave.name in OF_SERVICES:
-                owner, mode = service, 0o500
+                owner, mode = (0, 0o755) if path.is_dir() else (service, 0o400)
             elif not lacking and enclave.name in OF_OPERATORS:
                 group, mode = operators, 0o750
         if os.geteuid() == 0:
