@@ -45,6 +45,8 @@ class Server:
 
     def __init__(self, host: str, port: int) -> None:
         """Listen on host and port. Raises OSError."""
+        if not host:  # a script's variable that is not set would open it to every network
+            raise OSError(errno.EINVAL, "no name of a host")
         self.host = host
         self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
