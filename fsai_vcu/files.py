@@ -107,8 +107,10 @@ def write_whole(path: Path | str, content: bytes) -> None:
         with os.fdopen(os.open(beside, _NEW | os.O_WRONLY, mode), "wb") as file:
             file.write(content)
         beside.replace(place)
-    except BaseException:  # Ctrl-C too
+    except BaseException as error:  # Ctrl-C too
         beside.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = str(path)
         raise
 
 

@@ -148,8 +148,9 @@ def test_a_file_that_cannot_be_replaced_stays(victim: Path, monkeypatch: pytest.
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as caught:
         write_whole(victim, b"new")
+    assert caught.value.filename == str(victim)
     assert victim.read_bytes() == WORDS and list(victim.parent.iterdir()) == [victim]
 
 
