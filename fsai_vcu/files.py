@@ -11,6 +11,7 @@ import errno
 import os
 import stat
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -102,13 +103,14 @@ def write_whole(path: Path | str, content: bytes) -> None:
     if there and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     mode = stat.S_IMODE(place.stat().st_mode) if there else 0o666
-    beside = place.with_name(f".{place.name[:80]}.{time.time_ns()}")
+    beside = place.with_name(f".fsai-vcu.{time.time_ns()}")
     try:
         with os.fdopen(os.open(beside, _NEW | os.O_WRONLY, mode), "wb") as file:
             file.write(content)
         beside.replace(place)
     except BaseException as error:  # Ctrl-C too
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):  # it was never made
+            beside.unlink()
         if isinstance(error, OSError):
             error.filename = str(path)
         raise

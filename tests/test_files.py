@@ -154,6 +154,19 @@ def test_a_file_that_cannot_be_replaced_stays(victim: Path, monkeypatch: pytest.
     assert victim.read_bytes() == WORDS and list(victim.parent.iterdir()) == [victim]
 
 
+@pytest.mark.parametrize("name", ["ü" * 127, "absent/x", "victim/x", "ü" * 128])
+def test_a_place_that_cannot_be_is_named_in_the_error(name: str, victim: Path) -> None:
+    place = victim.parent / name
+    if name == "ü" * 127:  # the longest that there is
+        write_whole(place, b"new")
+        assert place.read_bytes() == b"new"
+        return
+    with pytest.raises(OSError) as caught:
+        write_whole(place, b"new")
+    assert caught.value.filename == str(place)
+    assert list(victim.parent.iterdir()) == [victim]
+
+
 def test_a_link_and_a_device_are_not_replaced(tmp_path: Path, victim: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(victim)
