@@ -89,7 +89,7 @@ def open_new(path: Path | str) -> int:
 
 
 def write_whole(path: Path | str, content: bytes) -> None:
-    """Write the file that a person named, whole or not at all: what was there stays until all is on the disk.
+    """Write the file that a person named, whole or not at all: what was there stays until all is written.
 
     A pipe or a device is written as it is, and so is what a link leads to. Who may read it stays as it was. Raises
     OSError.
