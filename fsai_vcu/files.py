@@ -11,6 +11,7 @@ import errno
 import os
 import stat
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -38,6 +39,32 @@ _CAREFUL: Final = os.O_CLOEXEC | os.O_NOCTTY | os.O_NONBLOCK
 _NEW: Final = os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
+def is_there(path: Path | str) -> bool:
+    """Return true where there is something, also if this user may not look: opening it says so."""
+    try:
+        return Path(path).exists()
+    except PermissionError:
+        return True
+    except OSError:  # such as a name that is too long for any file
+        return False
+
+
+def is_file(path: Path | str) -> bool:
+    """Return true where this user sees a file; what else is wrong with the place, opening it says."""
+    try:
+        return Path(path).is_file()
+    except OSError:
+        return False
+
+
+def is_folder(path: Path | str) -> bool:
+    """Return true where this user sees a folder; what else is wrong with the place, opening it says."""
+    try:
+        return Path(path).is_dir()
+    except OSError:
+        return False
+
+
 def open_named(path: Path | str, *, pipes: bool = False) -> BinaryIO:
     """The file that a person named, for reading. pipes: one may be named as well, and is waited for."""
     kind = Path(path).stat().st_mode  # before it is opened: with some devices that alone does something
@@ -59,6 +86,34 @@ def open_found(path: Path | str, *, write: bool = False) -> BinaryIO:
 def open_new(path: Path | str) -> int:
     """The descriptor of a new file, for writing; what is there already, a link to nowhere too, is never opened."""
     return os.open(path, _NEW | os.O_WRONLY, 0o644)
+
+
+def write_whole(path: Path | str, content: bytes) -> None:
+    """Write the file that a person named, whole or not at all: what was there stays until all is written.
+
+    A pipe or a device is written as it is, and so is what a link leads to. Who may read it stays as it was. Raises
+    OSError.
+    """
+    place = Path(path)
+    there = place.exists()
+    if place.is_symlink() or (there and not place.is_file()):
+        with place.open("wb") as file:
+            file.write(content)
+        return
+    if there and not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    mode = stat.S_IMODE(place.stat().st_mode) if there else 0o666
+    beside = place.with_name(f".fsai-vcu.{time.time_ns()}")
+    try:
+        with os.fdopen(os.open(beside, _NEW | os.O_WRONLY, mode), "wb") as file:
+            file.write(content)
+        beside.replace(place)
+    except BaseException as error:  # Ctrl-C too
+        with suppress(OSError):  # it was never made
+            beside.unlink()
+        if isinstance(error, OSError):
+            error.filename = str(path)
+        raise
 
 
 def open_lock(path: Path | str) -> BinaryIO:

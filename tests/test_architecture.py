@@ -52,7 +52,7 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "finding", "log")}
-    | {"fsai_vcu.interface", "fsai_vcu.runtime"},
+    | {"fsai_vcu.interface", "fsai_vcu.runtime", FILES},
     f"{DIAGNOSTICS}.recorder": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "export", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime", FILES},
     f"{DIAGNOSTICS}.monitor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}

@@ -9,7 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from fsai_vcu.files import open_found, open_lock, open_named, open_new, read_found, read_named
+from fsai_vcu.files import (
+    is_file,
+    is_folder,
+    is_there,
+    open_found,
+    open_lock,
+    open_named,
+    open_new,
+    read_found,
+    read_named,
+    write_whole,
+)
 
 WORDS = b"of somebody else\n"
 
@@ -121,3 +132,63 @@ def test_no_more_is_read_than_was_allowed(tmp_path: Path) -> None:
             read(path, 2 << 20)
     os.truncate(path, 64)
     assert read_found(path, 64) == bytes(64)
+
+
+def test_a_file_is_replaced_whole_and_stays_as_private(victim: Path) -> None:
+    victim.chmod(0o600)
+    with victim.open("rb") as before:
+        write_whole(victim, b"new")
+        assert before.read() == WORDS, "who reads the old one reads it to its end"
+    assert victim.read_bytes() == b"new" and victim.stat().st_mode & 0o777 == 0o600
+    assert list(victim.parent.iterdir()) == [victim]
+
+
+def test_a_file_that_cannot_be_replaced_stays(victim: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_whole(victim, b"new")
+    assert caught.value.filename == str(victim)
+    assert victim.read_bytes() == WORDS and list(victim.parent.iterdir()) == [victim]
+
+
+@pytest.mark.parametrize("name", ["ü" * 127, "absent/x", "victim/x", "ü" * 128])
+def test_a_place_that_cannot_be_is_named_in_the_error(name: str, victim: Path) -> None:
+    place = victim.parent / name
+    if name == "ü" * 127:  # the longest that there is
+        write_whole(place, b"new")
+        assert place.read_bytes() == b"new"
+        return
+    with pytest.raises(OSError) as caught:
+        write_whole(place, b"new")
+    assert caught.value.filename == str(place)
+    assert list(victim.parent.iterdir()) == [victim]
+
+
+def test_a_link_and_a_device_are_not_replaced(tmp_path: Path, victim: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(victim)
+    write_whole(link, b"new")
+    assert link.is_symlink() and victim.read_bytes() == b"new"
+    null = tmp_path / "null"
+    null.symlink_to(os.devnull)
+    write_whole(null, b"new")
+    assert Path(os.devnull).is_char_device()
+    with pytest.raises(OSError, match="No space left"):
+        write_whole("/dev/full", b"new")
+
+
+@pytest.mark.parametrize(("error", "there"), [(PermissionError(), True), (OSError(36, "File name too long"), False)])
+def test_what_cannot_be_looked_at_is_no_error_yet(
+    error: OSError, there: bool, victim: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> os.stat_result:
+        raise error
+
+    assert (is_there(victim), is_file(victim), is_folder(victim.parent)) == (True, True, True)
+    with monkeypatch.context() as patch:
+        for name in ("exists", "is_file", "is_dir"):
+            patch.setattr(Path, name, refused)
+        assert (is_there(victim), is_file(victim), is_folder(victim.parent)) == (there, False, False)

@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.doctor.collect import collect, laptop
 from fsai_vcu.diagnostics.doctor.machine import Wanted
 from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
 from fsai_vcu.diagnostics.finding import Finding
+from fsai_vcu.files import is_there
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0.0 < args.seconds < math.inf:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time to listen for")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if args.config is None and not args.wheels and not (USUAL_PATH.exists() or INSTALLED.exists()):
+    if args.config is None and not args.wheels and not (is_there(USUAL_PATH) or INSTALLED.exists()):
         return _show(examine(laptop(args.interface, args.seconds)), as_json=args.json)
     configuration: Configuration | None = None
     problems: tuple[str, ...] = ()

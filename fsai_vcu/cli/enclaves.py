@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from fsai_vcu.files import is_file, is_folder
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.runtime.configuration import usual_environment
 from fsai_vcu.runtime.transport import DISTRIBUTIONS
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the keys that the policy asks for, and give them to their users."""
     policy = args.policy or next((path for path in (_INSTALLED_POLICY, _CHECKOUT_POLICY) if path.is_file()), None)
-    if policy is None or not policy.is_file():
+    if policy is None or not is_file(policy):
         raise UserError(f"no policy {policy or _INSTALLED_POLICY}")
     tool = _find_tool()
     if tool is None:
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             f"on the package index; neither on the PATH nor in {_DISTRIBUTIONS}"
         )
     keystore = args.keystore.absolute()
-    new = not (keystore / "enclaves").is_dir()
+    new = not is_folder(keystore / "enclaves")
     try:
         keystore.mkdir(mode=0o700, parents=True, exist_ok=True)  # a configuration that names it is right from here on
         # What the keys permit, they permit in one domain only.
@@ -73,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
 def _give(keystore: Path) -> str:
     """Give each key to its users, and to nobody else; return why that could not be done, or ''.
 
-    The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's.
+    The key that signs them, and with it what they permit, stays root's. What has no secret in it is everybody's. The
+    folders stay root's, too: into one of its own a service could put links, which lead the next call elsewhere.
     """
     lacking = ""
     try:
@@ -94,7 +96,7 @@ def _give(keystore: Path) -> str:
         elif enclave is not None:
             mode = 0o700
             if not lacking and enclave.name in OF_SERVICES:
-                owner, mode = service, 0o500
+                owner, mode = (0, 0o755) if path.is_dir() else (service, 0o400)
             elif not lacking and enclave.name in OF_OPERATORS:
                 group, mode = operators, 0o750
         if os.geteuid() == 0:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from fsai_vcu.cli.decoding import Decoding, add_database_arguments
+from fsai_vcu.cli.ending import interruptible
 from fsai_vcu.cli.output import Progress
 from fsai_vcu.cli.sources import LOG_HELP, Sources, add_part_arguments, part_of
 from fsai_vcu.diagnostics.export.wide import raster_ns
@@ -99,16 +100,17 @@ def run(args: argparse.Namespace) -> int:
     if (decoding.decoder.which(frames) < 0).all():
         raise UserError(f"nothing to export: the databases name none of the {len(frames)} frames")
     try:
-        written = export(
-            frames,
-            decoding.decoder,
-            args.format,
-            args.output,
-            first_ns=sources.first_ns,
-            step_ns=step_ns,
-            words=args.words,
-            progress=progress.writing,
-        )
+        with interruptible():
+            written = export(
+                frames,
+                decoding.decoder,
+                args.format,
+                args.output,
+                first_ns=sources.first_ns,
+                step_ns=step_ns,
+                words=args.words,
+                progress=progress.writing,
+            )
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
     finally:

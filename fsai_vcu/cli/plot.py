@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli import report
 from fsai_vcu.cli.decoding import Decoding, add_database_arguments
@@ -14,6 +15,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.log.filters import name_and_filters
 from fsai_vcu.diagnostics.page.curves import BREAK_NS
+from fsai_vcu.files import is_there, write_whole
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.lights import BAND_ALPHA, light_of
 from fsai_vcu.printable import drawn
@@ -29,6 +31,8 @@ of the file says the format: png, svg, pdf, which need matplotlib (pip install
 'fsai-vcu[plot]'), or html: the page of report, with its exit status, and these
 signals on top."""
 
+_FORMATS: Final = ("", "png", "svg", "pdf")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="LOG", help=f"{LOG_HELP}; filters as for dump")
@@ -41,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Tell logs from signals among the arguments, read the logs and save the picture."""
-    more = list(takewhile(lambda word: Path(name_and_filters(word)[0]).exists(), args.words))
+    more = list(takewhile(lambda word: is_there(name_and_filters(word)[0]), args.words))
     logs, signals = [args.source, *more], args.words[len(more) :]
     if not signals:
         example = f"fsai-vcu plot {args.source} ANGLE 'VCU2AI_Speeds.*'"
@@ -55,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
         page = vars(args) | {"sources": logs, "signals": ",".join(signals), "seconds": None, "json": False}
         return report.run(argparse.Namespace(**page))
     sources.check_output(args.output)
+    if args.output.suffix[1:].lower() not in _FORMATS:  # pgf would take names in the log for TeX
+        raise WrongUse(f"cannot write {args.output}: a picture is {', '.join(filter(None, _FORMATS))}")
     frames = sources.everything()
     if not len(frames):
         return 1
@@ -91,7 +97,9 @@ def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]
     rows[-1, 0].set_xlabel("seconds since the log's first frame")
     figure.tight_layout()
     try:
-        figure.savefig(path, format=path.suffix[1:] or "png")
+        picture = BytesIO()
+        figure.savefig(picture, format=path.suffix[1:].lower() or "png")
+        write_whole(path, picture.getvalue())
     except (OSError, ValueError) as error:
         raise UserError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
     finally:

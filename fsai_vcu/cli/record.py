@@ -25,8 +25,10 @@ from fsai_vcu.diagnostics.log.live import Listener
 from fsai_vcu.diagnostics.log.recorded import lost_words
 from fsai_vcu.diagnostics.recorder.recording import Recording
 from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
+from fsai_vcu.files import is_folder
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.printable import printable
 from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_configuration
 from fsai_vcu.runtime.limits_file import limits_in, read_limits_text
 
@@ -245,7 +247,7 @@ def _say(text: str) -> None:
 def _bounds(args: argparse.Namespace) -> Bounds:
     keep_free = _size(args.keep_free, "--keep-free")
     given = {option: getattr(args, option) for option in _BOUNDS}
-    if args.output.suffix != "" and not args.output.is_dir():
+    if args.output.suffix != "" and not is_folder(args.output):
         for option in (option for option, text in given.items() if text is not None):
             raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
         return Bounds(keep_free_bytes=keep_free)
@@ -278,7 +280,7 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
             "host": platform.node(),
             "interface": args.interface,
             "revision": revision(args.revision).name,
-            "databases": [str(path) for path in args.dbc],
+            "databases": [printable(str(path)) for path in args.dbc],
             "operational_limits": None,
         }
         if args.limits is not None:
@@ -287,7 +289,7 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
                 "in_force": list(limits_in(content, args.limits).described()),
                 "content": content,
                 "sha256": hashlib.sha256(content.encode()).hexdigest(),
-                "file": str(args.limits),
+                "file": printable(str(args.limits)),
             }
     except ValueError as error:
         raise UserError(str(error)) from error

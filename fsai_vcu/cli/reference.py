@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fsai_vcu.cli.completion import metavar_of, words_of
 from fsai_vcu.cli.main import GROUPS, all_verbs, parser_of
+from fsai_vcu.files import write_whole
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu reference -o docs/reference.md\n  fsai-vcu reference --man | man -l -"
@@ -27,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     try:
         args.output.parent.mkdir(parents=True, exist_ok=True)
-        args.output.write_text(text, encoding="utf-8")
+        write_whole(args.output, text.encode())
     except OSError as error:
         raise UserError(f"{args.output} cannot be written: {error.strerror or error}") from error
     print(f"saved {args.output}")

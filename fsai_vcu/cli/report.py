@@ -10,6 +10,7 @@ from fsai_vcu.cli.decoding import Decoding
 from fsai_vcu.cli.sources import Sources, add_log_arguments, check_seconds, judged
 from fsai_vcu.diagnostics.log.recorded import beside
 from fsai_vcu.diagnostics.page.document import of_log
+from fsai_vcu.files import is_there, write_whole
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"no signal {args.signals} in {sources.name}")
     text = of_log(found, Path(sources.name).name, chosen)
     try:
-        _write(args.output, text)
+        write_whole(args.output, text.encode())
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
     if args.json:
@@ -64,18 +65,6 @@ def _beside(sources: Sources) -> Path:
     if not sources.files or len(sources.names) > 1:
         raise WrongUse("-o is missing: -o report.html")
     page = beside(Path(sources.name), ".html")
-    if page.exists():
+    if is_there(page):
         raise WrongUse(f"{page} exists already: -o {page} writes over it")
     return page
-
-
-def _write(path: Path, text: str) -> None:
-    """The whole page, or none."""
-    with path.open("w", encoding="utf-8") as file:
-        try:
-            file.write(text)
-            file.flush()
-        except OSError:
-            if path.is_file():
-                path.unlink()
-            raise

@@ -20,6 +20,7 @@ from fsai_vcu.diagnostics.log.frames import EXTENDED, Frames, joined
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.diagnostics.log.recorded import IN_ORDER, Recorded, is_virtual, lost_words, recorded
+from fsai_vcu.files import is_file
 from fsai_vcu.interface.errors import UserError, WrongUse, did_you_mean
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.printable import printable
@@ -306,7 +307,7 @@ class Sources:
 
     def check_output(self, path: Path) -> None:
         """Raise WrongUse where a log would be written over with what is made of it."""
-        if path.is_file() and any(Path(name).is_file() and path.samefile(name) for name, _ in self._rules):
+        if is_file(path) and any(is_file(name) and path.samefile(name) for name, _ in self._rules):
             raise WrongUse(f"{path} is the log that is read: it would be written over")
 
     def learn(self) -> None:

@@ -89,7 +89,10 @@ class Server(serving.Server):
         response = web.WebSocketResponse(
             protocols=PROTOCOLS, max_msg_size=_MOST_BYTES, compress=False, heartbeat=_ALIVE_S
         )
-        await response.prepare(request)
+        try:
+            await response.prepare(request)
+        except (web.HTTPException, ValueError):  # its version or its key is none
+            return error_page(HTTPStatus.BAD_REQUEST)
         client = _Client()
         connection.wait(None)
         about = {"capabilities": [], "metadata": {}, "sessionId": self._session}

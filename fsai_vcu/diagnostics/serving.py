@@ -45,6 +45,8 @@ class Server:
 
     def __init__(self, host: str, port: int) -> None:
         """Listen on host and port. Raises OSError."""
+        if not host:  # a script's variable that is not set would open it to every network
+            raise OSError(errno.EINVAL, "no name of a host")
         self.host = host
         self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -127,7 +129,7 @@ class Server:
         except ValueError:
             return name in self.names
         here = _plain(ipaddress.ip_address(own))
-        return _plain(address) == here or (address.is_loopback and here.is_loopback)
+        return _plain(address) == here or ((address.is_loopback or address.is_unspecified) and here.is_loopback)
 
     def is_origin(self, origin: str, host: str) -> bool:
         """Return true where a page from there may ask."""
@@ -154,7 +156,8 @@ class Connection(web.RequestHandler):
     """One connection, ended when its patience is: a request, or what is written, must come to its end in time."""
 
     def __init__(self, manager: web.Server, server: Server) -> None:
-        super().__init__(manager, loop=server.loop)
+        # A request that is answered here needs no body: what somebody sends of one is neither waited for nor unpacked.
+        super().__init__(manager, loop=server.loop, lingering_time=0.0, auto_decompress=False)
         self.server = server
         self.own = self._peer = ""
         self._timer: asyncio.TimerHandle | None = None
@@ -186,7 +189,8 @@ class Connection(web.RequestHandler):
 
     def handle_error(self, request: web.BaseRequest, status: int = 500, *why: Any, **words: Any) -> web.StreamResponse:
         """The answer to what is no request, and to an error of this server."""
-        if status == HTTPStatus.INTERNAL_SERVER_ERROR:
+        gone = any(isinstance(each, ConnectionError) for each in why)  # a client that went away is no error
+        if status == HTTPStatus.INTERNAL_SERVER_ERROR and not gone:
             super().handle_error(request, status, *why, **words)  # logs it
         return error_page(HTTPStatus(status))
 

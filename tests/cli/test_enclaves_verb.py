@@ -125,6 +125,8 @@ def test_each_account_reads_the_keys_that_security_md_says(calls: Path, monkeypa
         assert main(["enclaves", "--keystore", str(keystore)]) == 0
         keys = [*(keystore / "enclaves").rglob("key.pem"), keystore / "private" / "ca.key.pem"]
         found = {account: readable_by(ids, keys) for account, ids in ROWS.items()}
+        folders = {path for path in keystore.rglob("*") if path.is_dir()}
+        assert folders and {path.stat().st_uid for path in folders} == {0}, "a service can put no link into any"
         everybody = {ids: (keystore / "enclaves" / "governance.p7s").stat().st_mode & 0o777 for ids in ROWS}
     table = {}
     for line in (CHECKOUT / "docs" / "security.md").read_text().splitlines():

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.export.writing import NEEDS
 
 GOOD = "(1.000000) can0 523#640064006400\n"
 
@@ -157,6 +158,39 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     process.stderr.close()
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_who_ends_an_export_finds_nothing_half_made(
+    number: signal.Signals, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ended(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), number)
+        raise AssertionError("went on")
+
+    monkeypatch.setattr("fsai_vcu.diagnostics.export.writing.Tables", ended)
+    monkeypatch.setattr(signal, "getsignal", lambda _: signal.SIG_DFL)
+    before = signal.signal(number, lambda *_: None)  # that would end pytest
+    try:
+        assert main(["export", str(log), "--format", "csv", "-o", str(log.with_name("tables"))]) == 130
+        assert signal.signal(number, signal.SIG_DFL) == signal.SIG_DFL, "as it was taken to be"
+    finally:
+        signal.signal(number, before)
+    assert capsys.readouterr().err == "fsai-vcu export: interrupted\n" and list(log.parent.iterdir()) == [log]
+
+
+@pytest.mark.parametrize("name", ["-rf", "N" * 300, "ü" * 300])
+def test_a_table_of_any_name_has_a_file_of_its_own(name: str, log: Path) -> None:
+    dbc, out = log.with_name("x.dbc"), log.with_name("tables")
+    dbc.write_text(
+        'VERSION ""\n\nBU_: A\n\nBO_ 1315 M: 6 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\n\n'
+        'BA_DEF_ BO_ "SystemMessageLongSymbol" STRING ;\nBA_DEF_DEF_ "SystemMessageLongSymbol" "";\n'
+        f'BA_ "SystemMessageLongSymbol" BO_ 1315 "{name}";\n',
+        encoding="cp1252",
+    )
+    assert main(["export", str(log), "--dbc", str(dbc), "--format", "csv", "-o", str(out)]) == 0
+    (made,) = out.iterdir()
+    assert made.name[0] != "-" and made.stem in name
+
+
 @pytest.mark.parametrize(("form", "package"), [("parquet", "pyarrow"), ("mcap", "mcap"), ("mf4", "asammdf")])
 def test_a_missing_extra_is_the_line_that_installs_it(
     form: str, package: str, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -173,6 +207,24 @@ def test_a_pipe_or_a_device_is_not_replaced(log: Path, capsys: pytest.CaptureFix
     assert main(["export", str(log), "--format", "csv", "--wide", "-o", str(pipe)]) == 1
     assert f"{pipe} is a device or a pipe" in capsys.readouterr().err
     assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("target", ["victim.csv", "nowhere/out.csv", "link.csv"])
+def test_a_link_is_neither_followed_nor_replaced(log: Path, capsys: pytest.CaptureFixture[str], target: str) -> None:
+    link, victim = log.with_name("link.csv"), log.with_name("victim.csv")
+    victim.write_text("of somebody else")
+    link.symlink_to(target)
+    assert main(["export", str(log), "--wide", "-o", str(link)]) == 1
+    assert f"{link} is a link" in capsys.readouterr().err
+    assert link.is_symlink() and victim.read_text() == "of somebody else"
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mcap", "mf4"])
+def test_a_file_may_have_any_name_its_system_has(log: Path, form: str) -> None:
+    pytest.importorskip(NEEDS.get(form, "numpy"), reason=f"not installed: pip install 'fsai-vcu[{form}]'")
+    out = log.with_name("o\udcff")
+    assert main(["export", str(log), "--format", form, "-o", str(out)]) == 0
+    assert out.exists()
 
 
 def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

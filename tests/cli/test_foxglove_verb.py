@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from http.client import HTTPConnection
+from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
 from subprocess import PIPE
 
@@ -79,12 +79,17 @@ def served() -> Iterator[Server]:
 
 def handshake(server: Server, **headers: str) -> int:
     """The status with which a client is answered."""
+    return answered(server, **headers).status
+
+
+def answered(server: Server, **headers: str) -> HTTPResponse:
+    """The answer to a client's handshake."""
     port = server.server_address[1]
     client = HTTPConnection("127.0.0.1", port, timeout=60)
     usual = {"Host": f"localhost:{port}", "Connection": "Upgrade", "Upgrade": "websocket"}
     usual |= {"Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
     client.request("GET", "/", headers=usual | {"Sec-WebSocket-Protocol": "foxglove.sdk.v1"} | headers)
-    return client.getresponse().status
+    return client.getresponse()
 
 
 @pytest.mark.parametrize(
@@ -110,6 +115,18 @@ def test_only_pages_of_foxglove_and_this_machine_get_in(served: Server, origin: 
 def test_who_speaks_no_foxglove_is_refused(served: Server) -> None:
     assert handshake(served, **{"Sec-WebSocket-Protocol": "chat"}) == 426
     assert handshake(served, Upgrade="h2c") == 426
+
+
+@pytest.mark.parametrize(
+    ("header", "value"),
+    [("Key", "short"), ("Key", "\xff" * 24), ("Version", "99"), ("Version", "<b>"), ("Version", "")],
+)
+def test_a_handshake_that_is_none_gets_a_plain_line(
+    served: Server, header: str, value: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    answer = answered(served, **{f"Sec-WebSocket-{header}": value})
+    assert (answer.status, answer.read()) == (400, b"400 Bad Request\n")
+    assert answer.headers["Server"] == "fsai-vcu" and not caplog.records
 
 
 def test_a_topic_goes_to_a_client_a_few_times_at_most() -> None:

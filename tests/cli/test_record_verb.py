@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import threading
 from pathlib import Path
@@ -55,3 +56,16 @@ def test_the_file_beside_a_recorded_log_is_named(tmp_path: Path, capsys: pytest.
     with talking(BUS, Frame(0x520, bytes(8))):
         assert main(["record", BUS, "-o", str(log), "--seconds", "0.5"]) == 0
     assert capsys.readouterr().err.endswith(f" frames in {log}, about it in {about}\n") and about.exists()
+
+
+def test_names_that_are_no_text_are_written_beside_a_log(tmp_path: Path) -> None:
+    run, limits = tmp_path / "run.log", tmp_path / "l\udcff.toml"
+    limits.write_text("max_speed_mps = 5.0\n")
+    dbc = tmp_path / "d\udcff.dbc"
+    dbc.write_text('VERSION ""\n\nBU_: A\n\nBO_ 291 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "rpm" A\n')
+    with talking(BUS, Frame(0x520, bytes(8))):
+        asked = ["record", BUS, "-o", str(run), "--seconds", "0.3", "--limits", str(limits), "--dbc", str(dbc)]
+        assert main(asked) == 0
+    about = json.loads(run.with_suffix(".json").read_text())
+    assert about["databases"] == [f"{tmp_path}/d\\udcff.dbc"]
+    assert about["operational_limits"]["file"] == f"{tmp_path}/l\\udcff.toml"

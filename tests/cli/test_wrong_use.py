@@ -12,6 +12,13 @@ from fsai_vcu.cli.main import main
 GOOD = "(1.000000) can0 523#640064006400\n(1.010000) can0 510#0000000000000000\n"
 FOREIGN = b'VERSION ""\n\nBU_: A\n\nBO_ 291 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "rpm" A\n'
 BUS = "loopback:wrong-use"
+LONG = "x" * 255  # with an ending more than a file's name can have
+WRITERS = (
+    ("report run.log", "html"),
+    ("plot run.log ANGLE", "png"),
+    ("export run.log", "csv"),
+    (f"record {BUS} --seconds 1", "log"),
+)
 READERS = ("decode", "explain", "monitor", "pitwall")
 USES = [
     # ---------------------------------------------------------------- what no verb or no file is
@@ -102,6 +109,8 @@ USES = [
             ("run.log --wide --raster 0ms", 2, "no raster: '0ms'"),
         )
     ),
+    *((f"{each} -o {LONG}.{end}", 1, "File name too long") for each, end in WRITERS),
+    ("plot run.log ANGLE -o picture.pgf", 2, "cannot write picture.pgf: a picture is png, svg, pdf"),
     ("export run.log --format csv -o absent/tables", 1, "cannot write absent/tables: No such file or directory"),
     # ---------------------------------------------------------------- monitor and pit wall
     ("monitor run.log --rate -1", 2, "--rate is -1, but must be 0 or more"),

@@ -293,16 +293,18 @@ def test_a_foreign_name_that_leads_here_is_refused(host: str) -> None:
         for name in foreign:
             for path in ("/", "/events"):
                 assert asked(server, "GET", path, f"{name}:{port}", to=host).status == 421, name
-        for name in (f"localhost:{port}", f"LOCALHOST:{port}", f"127.0.0.1:{port}", f"[::1]:{port}", "localhost"):
+        ours = ("localhost", "LOCALHOST", "0.0.0.0", "[::]", "127.0.0.1", "[::1]")
+        for name in (*(f"{own}:{port}" for own in ours), "localhost"):
             assert asked(server, "GET", "/", name, to=host).status == 200, name
         for origin in ("https://evil.example", "null", "file://", f"http://localhost:{port + 1}", "http://[::1"):
             assert asked(server, "GET", "/", f"localhost:{port}", origin, to=host).status == 403, origin
         assert asked(server, "GET", "/", f"localhost:{port}", f"http://localhost:{port}", to=host).status == 200
 
 
-def test_what_can_be_no_name_of_a_host_is_an_error_of_the_system() -> None:
+@pytest.mark.parametrize("host", ["", "a\udcffb"])
+def test_what_can_be_no_name_of_a_host_is_an_error_of_the_system(host: str) -> None:
     with pytest.raises(OSError, match="no name of a host"):
-        Server("a\udcffb", 0)
+        Server(host, 0)
 
 
 @pytest.mark.parametrize(("host", "beyond"), [("127.0.0.1", False), ("127.0.0.2", False), ("0.0.0.0", True)])
@@ -360,6 +362,27 @@ def test_a_viewer_that_goes_away_is_counted_no_more(server: Server, capfd: pytes
         assert stream.readline() == b"retry: 1000\n"
     publish_to_nobody(server)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_client_that_is_gone_before_the_answer_is_no_error(
+    server: Server, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def nobody(*_: object) -> None:
+        raise ConnectionResetError("Cannot write to closing transport")
+
+    monkeypatch.setattr(server, "answer", nobody)
+    assert asked(server, "GET", "/events").status == 500
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("headers", [b"Content-Length: 5\r\nContent-Encoding: gzip\r\n", b"Content-Length: 9\r\n"])
+def test_a_body_is_neither_unpacked_nor_waited_for(
+    server: Server, headers: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_connection(server.server_address[:2], timeout=5) as client, client.makefile("rb") as answer:
+        client.sendall(b"GET /x HTTP/1.1\r\nHost: localhost\r\n" + headers + b"\r\nhello")
+        assert answer.read().endswith(b"404 Not Found\n"), "and the connection has ended"
+    assert not caplog.records
 
 
 def test_more_connections_than_are_allowed_are_closed(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -249,6 +249,16 @@ def test_frames_lost_while_the_disk_is_full_are_counted(
     assert rig.reports[-1] == f"writing again in {rig.path}; {rig.recording.lost} frames were lost"
 
 
+def test_frames_that_a_full_disk_never_took_are_lost(rig: Rig, disk: Disk) -> None:
+    rig.turn(received(10))
+    disk.error = errno.ENOSPC
+    rig.turn(received(20, 10))
+    rig.turn(received(5, 30))
+    rig.close()
+    assert numbers(*rig.logs()) == list(range(10))
+    assert (rig.recording.taken, rig.recording.lost) == (10, 25)
+
+
 def test_a_broken_disk_is_followed_by_a_new_segment(rig: Rig, disk: Disk) -> None:
     rig.turn(received(10))
     disk.error = errno.EIO
@@ -257,7 +267,7 @@ def test_a_broken_disk_is_followed_by_a_new_segment(rig: Rig, disk: Disk) -> Non
     rig.turn(received(10, 20), after_ns=AGAIN_NS)
     assert [path.name for path in rig.logs()] == ["can0-000001.log", "can0-000002.log"]
     assert numbers(*rig.logs()) == [*range(10), *range(20, 30)]
-    assert rig.recording.lost == 10
+    assert (rig.recording.taken, rig.recording.lost) == (20, 10)
 
 
 def test_a_deleted_segment_is_followed_by_another(rig: Rig) -> None:
@@ -331,6 +341,13 @@ def test_a_file_with_holes_takes_no_room_from_the_recording(tmp_path: Path) -> N
         file.truncate(10 << 30)
     logs = recorded(tmp_path / "run", 10, bounds=bounds).logs()
     assert numbers(logs[0]) == list(range(10)) and numbers(logs[-1]) == list(range(10, 20))
+
+
+def test_a_number_in_other_digits_is_no_segment(tmp_path: Path) -> None:
+    rig = recorded(tmp_path / "run")
+    (tmp_path / "run" / "can0-٠٠٠٩٠٥.log").write_bytes(bytes(2 << 20))
+    assert recorded(tmp_path / "run", 10, bounds=Bounds(total_bytes=1 << 20)).place.number == 2
+    assert numbers(*(rig.place.file(".log", number) for number in (1, 2))) == list(range(20))
 
 
 @pytest.mark.parametrize("there", [[], [999_999], [999_998], [1, 999_999], [21, 22, 999_999]])

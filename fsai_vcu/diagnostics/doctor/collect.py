@@ -29,6 +29,7 @@ from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Link, Machine, Ros, 
 from fsai_vcu.diagnostics.doctor.wheels import Four
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.log.live import LiveSource
+from fsai_vcu.files import is_folder
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
@@ -98,7 +99,7 @@ def collect(
     link = link_of(wanted.interface) if wanted is not None and ":" not in wanted.interface else None
     files = [Path(name) for name in (wanted.path, wanted.limits_path) if name] if wanted is not None else []
     folder = Path(wanted.recording_folder) if wanted is not None else None
-    here = folder is not None and folder.is_dir()
+    here = folder is not None and is_folder(folder)
     return Machine(
         wanted=wanted,
         configuration_problems=problems,

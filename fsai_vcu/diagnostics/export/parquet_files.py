@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -36,7 +37,8 @@ def parquet_files(
             table = rows.table
             if table.name not in writers:
                 options = {"compression": "zstd", "dictionary_pagesize_limit": _DICTIONARY_BYTES}
-                writer = pq.ParquetWriter(str(path_of(table)), _schema(table, words=words), **options)
+                file = opened.enter_context(pa.OSFile(os.fsencode(path_of(table)), "wb"))  # whatever its name
+                writer = pq.ParquetWriter(file, _schema(table, words=words), **options)
                 writers[table.name] = opened.enter_context(writer)
             schema = writers[table.name].schema
             columns = zip(table.columns, rows.values, schema.types[2:], strict=True)

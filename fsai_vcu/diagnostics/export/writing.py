@@ -26,6 +26,7 @@ NEEDS: Final = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
 """Package that must be installed for a format; the extra has the format's name."""
 _A_FILE_EACH: Final = ("csv", "parquet")
 _AT_ONCE: Final = 200_000  # frames
+_NAME_BYTES: Final = 200  # of a table's file: a file system takes 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +74,11 @@ def export(
         raise UserError(f"{path} is {what} already; name a new folder for the tables")
     if not folder and path.is_dir():
         raise UserError(f"{path} is a folder; name a file")
-    if path.exists() and not path.is_dir() and not path.is_file():
-        raise UserError(f"{path} is a device or a pipe, which a file would replace; name a file")
+    if path.is_symlink() or (path.exists() and not path.is_dir() and not path.is_file()):
+        what = "a link" if path.is_symlink() else "a device or a pipe"
+        raise UserError(f"{path} is {what}, which a file would replace; name a file")
     # Beside its place, so that it can be moved there in one step.
-    work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.resolve().parent))
+    work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
         whole = work / f"whole.{form}"
         if folder:
@@ -131,6 +133,7 @@ def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None])
 
 def _new_file(folder: Path, form: str, table: Table) -> Path:
     """A file for each table, whatever its name has in it."""
-    stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".") or "table"
+    stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".-") or "table"  # what begins with '-' other programs obey
+    stem = stem.encode()[:_NAME_BYTES].decode(errors="ignore")
     names = chain([stem], (f"{stem}-{number}" for number in count(2)))
     return next(path for name in names if not (path := folder / f"{name}.{form}").exists())

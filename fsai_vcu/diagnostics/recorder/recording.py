@@ -123,8 +123,11 @@ class Recording:
         """Write what waits, and end the files properly, as far as the disk lets."""
         self._again_ns = None if self._again_ns is None else now_ns
         self.turn(now_ns)
+        segment = self._segment
         with suppress(OSError):  # a disk that takes no more: reported, and what is there is whole
             self._end()
+        if segment is not None:
+            self._count_lost(segment)
         self.lost += len(self._frames)
         self._place.close()
 
@@ -214,6 +217,7 @@ class Recording:
             if segment is not None:
                 if any(file.removed for file in segment.files):
                     self._segment = None
+                    self._count_lost(segment)
                     segment.opened.close()
                     self._report(f"{segment.files[0].path} has been deleted; going on in a new one")
                     continue
@@ -263,8 +267,15 @@ class Recording:
         if error.errno not in _NO_ROOM and segment is not None and not self._place.single:
             # Not a matter of room: these files may be lost, a new one need not.
             self._segment = None
-            self.lost += segment.unpushed
+            self._count_lost(segment)
             segment.opened.close()
+
+    def _count_lost(self, segment: _Segment) -> None:
+        """Count the frames that wait for a file into which nothing more is written."""
+        if segment.files[0].waiting:
+            self.lost += segment.unpushed
+            self.taken -= segment.unpushed
+            segment.unpushed = 0
 
 
 def _date(wall_ns: int) -> str:

@@ -44,7 +44,7 @@ class SegmentFolder:
         self.path = path
         self.bounds = bounds
         self._prefix = re.sub(r"[^\w.-]+", "_", prefix) or "bus"
-        self._pattern = re.compile(rf"{re.escape(self._prefix)}-(\d{{{_DIGITS}}})(\.log|\.mcap|\.json)")
+        self._pattern = re.compile(rf"{re.escape(self._prefix)}-([0-9]{{{_DIGITS}}})(\.log|\.mcap|\.json)")
         self._lock: IO[bytes] | None = None
         self.number = 0
         if self.single:

@@ -19,6 +19,7 @@ from fsai_hil.evidence.campaign.table import catalogue_lines, failures, markdown
 from fsai_hil.evidence.work import RecordFile, followed, read, spread
 from fsai_hil.simulator.world import mission_named
 from fsai_vcu.cli.main import UserError
+from fsai_vcu.files import write_whole
 from fsai_vcu.interface.revisions import revision
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
@@ -70,7 +71,7 @@ def _table(record: Path, output: Path | None) -> None:
         print(text)
     else:
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text.encode())
         print(f"saved {output}: {len(runs)} runs, {len(failures(runs))} worse than the rules allow")
 
 

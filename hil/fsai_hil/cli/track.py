@@ -22,6 +22,7 @@ from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import resampled_ring
 from fsai_vcu.diagnostics.statistics.measure import as_json
+from fsai_vcu.files import write_whole
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.printable import drawn
 
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         facts = _facts(track)
         print(json.dumps(as_json(facts, 3)) if args.json else "\n".join(_words(facts)))
         if args.output:
-            args.output.write_text(as_csv(track, track.staging(_mission(track), NOSE_M)), encoding="utf-8")
+            write_whole(args.output, as_csv(track, track.staging(_mission(track), NOSE_M)).encode())
             print(f"saved {args.output}", file=sys.stderr if args.json else sys.stdout)
         if args.plot:
             _draw(track, args.plot, _title(facts))
