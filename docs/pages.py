@@ -459,7 +459,7 @@ def _scores() -> list[tuple[str, str, str, str]]:
 def explained() -> str:
     """The score of the explanations, in a sentence."""
     scores = " and ".join(f"{right} of {logs} logs with {what}" for what, logs, right, _ in _scores())
-    return f"It names the cause rightly in {scores} ([evidence]({{evidence}}explanations.md))."
+    return f"It names the right cause in {scores} ([evidence]({{evidence}}explanations.md))."
 
 
 def speeds() -> str:

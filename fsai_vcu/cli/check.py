@@ -20,17 +20,19 @@ if TYPE_CHECKING:
 EXAMPLE = "fsai-vcu check run.log && echo the bus was well\n  fsai-vcu check can0 --seconds 10 --figures"
 _NAMED = 8  # files that are left out
 ABOUT = """\
-Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
-problem was found, or too little is known, or not everything could be read, 2
-wrong use. Of several logs, or a folder of them, each has a line of its own, and
-all of them together one verdict; logs whose clocks differ are several runs.
-Times of a log are seconds since its first frame."""
+Exit status: 0 the verdict is OK (it may have notes), 1 it is NOT OK or UNKNOWN: a
+problem was found, too little is known, or not everything could be read; 2 wrong
+use. Several logs, or the logs of a folder, get a line each and one verdict on
+all; logs whose clocks differ are several runs.
+Times in a log are seconds since its first frame."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_log_arguments(parser)
     parser.add_argument(
-        "--figures", action="store_true", help="of each message its period, jitter, gaps and load, and the handshake"
+        "--figures",
+        action="store_true",
+        help="also print each message's period, jitter, gaps and load, and the handshake",
     )
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
     parser.add_argument(
@@ -53,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     lines = [json.dumps(each.as_dict()) if args.json else each.line() for each in read]
     if sources.left_out and not args.json:
         more = ", …" if len(sources.left_out) > _NAMED else ""
-        lines.append(f"no logs, and left out: {', '.join(sources.left_out[:_NAMED])}{more}")
+        lines.append(f"left out, as they are not logs: {', '.join(sources.left_out[:_NAMED])}{more}")
     write_out("".join(f"{line}\n" for line in lines).encode())
     log = "" if sources.live or len(sources.names) > 1 else sources.name
     wrong = [
@@ -119,8 +121,8 @@ def _for_people(bus: BusStatistics, log: str, *, figures: bool) -> str:
                 for column, (cell, width) in enumerate(zip(row, widths, strict=True))
             ]
             lines.append("  ".join(cells).rstrip())
-        lines.append("period: expected; median: of the intervals received; jitter: how much they miss the period")
-        lines.append("unchanged: the longest time with one and the same payload")
+        lines.append("period: expected; median: of the intervals received; jitter: how far they are from the period")
+        lines.append("unchanged: the longest time without a change of the payload")
         handshake = bus.handshake
         if handshake is not None and handshake.response_ms.p50_ms is not None:
             lines.append(

@@ -17,7 +17,7 @@ from fsai_vcu.diagnostics.stack.watch import TOPICS, Ends, StackWatch
 from fsai_vcu.printable import LINE, printable
 
 EXAMPLE = "fsai-vcu check-stack --seconds 20 && echo in order"
-ABOUT = "It only listens. Exit status: 0 nothing is wrong, 1 something is. Best while the car drives."
+ABOUT = "It only listens. Run it while the car drives. Exit status: 0 nothing is wrong, 1 something is wrong."
 _TURN_S = 0.1
 _ANSWER_S = 2.0  # for all nodes together to say whose time they go by
 _CLOCK = "use_sim_time"

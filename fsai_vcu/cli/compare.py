@@ -24,13 +24,13 @@ from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
-Prints each log's problems, as check tells them, states and numbers whose least,
-greatest or mean value differs by more than 10 % of their range (the first log's
-values, and the second's), messages that are in one log only, and mean periods more than
-10 % apart.
-Exit status: 0 nothing differs, 1 something does, or something could not be read,
-2 wrong use. --from and --to count from each log's own first frame; with
---messages or --signals no problems are told."""
+Prints the problems that check finds in each log; states that differ; numbers
+whose least, greatest or mean value differs by more than 10 % of their range (the
+first log's values, then the second's); messages that only one log has; and mean
+periods that differ by more than 10 %.
+Exit status: 0 nothing differs, 1 something differs or could not be read, 2 wrong
+use. --from and --to count from each log's own first frame; with --messages or
+--signals no problems are printed."""
 SHARE: Final = 0.1
 SHOWN: Final = 4  # words of a signal, the most frequent ones
 TOLD: Final = ("missing", "period")

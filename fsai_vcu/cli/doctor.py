@@ -95,7 +95,7 @@ def _show(findings: Sequence[Finding], *, as_json: bool) -> int:
     lacks = sum(finding.kind == FOR_THE_CAR for finding in findings)
     to_do = sum(bool(finding.remedy) for finding in findings if finding.severity != "problem") - lacks
     well = "this computer can simulate" if lacks else "nothing is wrong" if to_do else "all is well"
-    well += f"; {to_do} to put in order (->)" * bool(to_do)
+    well += f"; {to_do} to correct (->)" * bool(to_do)
     last = f"{wrong} wrong" if wrong else well
     print(last + f"; it cannot drive the car: the lines '{FOR_THE_CAR}' say what it lacks" * bool(lacks))
     return 1 if wrong else 0
@@ -143,7 +143,7 @@ def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool)
             if check.asked != asked:
                 asked = check.asked
                 until_ns = time.monotonic_ns() + int(_PATIENCE_S * 1e9)
-                show(f"turn the {NAMES[asked]} wheel once, slowly, forwards; then let it stand")
+                show(f"turn the {NAMES[asked]} wheel slowly forwards by one turn, then stop it")
             if time.monotonic_ns() >= until_ns:
                 raise UserError(f"no wheel has turned for {_PATIENCE_S:g} s (0x526)")
             frame = bus.recv(0.2)

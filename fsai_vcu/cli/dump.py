@@ -47,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-t",
         dest="times",
         choices=("a", "A", "d", "z"),
-        help="times: absolute, absolute with the date, delta to the line before, from zero (the first frame, of a log, "
-        "as check and explain count). Default: of a bus none, as candump; dump of a log z; decode and -L a",
+        help="times: a absolute, A absolute with the date, d since the line before, z since the first frame (of a log: "
+        "as check and explain count). Default: none for a bus, as candump; z for dump of a log; a for decode and -L",
     )
     add("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
     add("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
@@ -64,36 +64,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-L",
         dest="log_format",
         action="store_true",
-        help="the format of candump's logs; signals only as --signals or --short ask",
+        help="print candump's log format; signals only with --signals or --short",
     )
     add("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
     add(
         "--changes",
         action="store_true",
-        help="only frames that differ from their message's last one, by more than HANDSHAKE",
+        help="only frames that differ from the previous frame of their message in more than HANDSHAKE",
     )
     add(
         "--short",
         action="store_true",
-        help="signals that are not 0 alone, in 150 columns beside the time; X! is X_FAULT, +N: N more",
+        help="only signals that are not 0, in 150 columns beside the time; X! is X_FAULT, +N: N more signals",
     )
     add("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
     add_part_arguments(parser, signals=True)
-    add("--numbers", action="store_true", help="numbers where the database has words for them")
+    add("--numbers", action="store_true", help="print numbers instead of the database's words")
     add("--json", action="store_true", help="one JSON object per frame")
 
 
 def run(args: argparse.Namespace) -> int:
     """Check the arguments, then print the frames of the sources until they end."""
     if args.count is not None and args.count < 1:
-        raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
+        raise WrongUse(f"-n is {args.count}, but must be at least 1")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
         raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
     if (args.log_format or args.verb == "decode") and (args.ascii_column or args.times == "A"):
-        raise WrongUse("-a and -t A are of candump's screen: without -L, and with dump")
+        raise WrongUse("-a and -t A work only with dump, and not with -L")
     if args.short and (args.json or args.no_signals):
-        raise WrongUse("--short is for signals in lines: without --json and --no-signals")
+        raise WrongUse("--short does not go with --json or --no-signals")
     decoding = Decoding(args.verb, args)
     decoding.show_signals(args.signals)
     sources = Sources(args.verb, args.sources, decoding, part_of(args, decoding))
@@ -138,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _say_more(verb: str) -> None:
     """Tell how to see the rest of a log of which a terminal has shown the beginning."""
-    more = "more: -n COUNT, --from TIME; all of them: the same command with | less"
+    more = "for more: -n COUNT, --from TIME; for all: the same command with | less"
     print(f"fsai-vcu {verb}: the first {_ON_SCREEN} frames are shown; {more}", file=sys.stderr)
 
 

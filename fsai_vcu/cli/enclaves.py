@@ -47,8 +47,8 @@ def run(args: argparse.Namespace) -> int:
     tool = _find_tool()
     if tool is None:
         raise UserError(
-            "no `ros2 security` here: it is part of the distribution (sudo apt install ros-$ROS_DISTRO-sros2) and not "
-            f"on the package index; neither on the PATH nor in {_DISTRIBUTIONS}"
+            f"`ros2 security` is not on the PATH and not in {_DISTRIBUTIONS}: install it from the ROS distribution "
+            "(sudo apt install ros-$ROS_DISTRO-sros2); the package index does not have it"
         )
     keystore = args.keystore.absolute()
     new = not is_folder(keystore / "enclaves")
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if lacking:
         print(f"fsai-vcu enclaves: only this user can read them: {lacking}", file=sys.stderr)
     else:
-        print(f"and who is to operate the car: sudo usermod -aG {OPERATORS} NAME")
+        print(f"to let a user operate the car: sudo usermod -aG {OPERATORS} NAME")
     return 0
 
 

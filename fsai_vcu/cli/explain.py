@@ -14,11 +14,11 @@ from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 
 EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain run.log --timeline\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
-From the frames alone: for every emergency brake and every refusal to start the
-cause, the evidence and what to do about it; then the verdict that check gives.
-With --timeline everything that happened before, too. Exit status: as for check
-(the emergency brake that a mission ends with is no problem). Times of a log are
-seconds since its first frame."""
+From the frames alone it gives the cause, the evidence and the remedy of every
+emergency brake and every refusal to start; then the verdict that check gives.
+--timeline adds everything that happened before. Exit status: as for check (an
+emergency brake with which the mission ends as planned is no problem). Times in a
+log are seconds since its first frame."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +47,7 @@ def _explain(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> 
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     story = list(text_lines(shown, sources.name, timeline=args.timeline, colour=colour))
     if not args.timeline:
-        story.insert(-1, f"(--timeline: what happened until then, {len(shown.events)} lines, and the notes)")
+        story.insert(-1, f"(--timeline adds what happened until then, {len(shown.events)} lines, and the notes)")
     for line in json_lines(shown, sources.name) if args.json else story:
         print(line)
     others = [one for one in verdict.findings if one.severity == "problem" and (one.kind, one.t_ns) not in told]

@@ -20,9 +20,9 @@ EXAMPLE = (
     "  fsai-vcu export run.log -o run.mcap"
 )
 ABOUT = """\
-Times: CSV and Parquet have the time in the log in the first column and, in the
-second, the seconds since its first frame, as check, explain, report and plot
-count them. MF4 has these alone, MCAP the time in the log."""
+Times: the first column of CSV and Parquet is the time in the log, the second one
+the seconds since the log's first frame, as check, explain, report and plot count.
+MF4 has only these seconds, MCAP only the time in the log."""
 _DEFAULT_RASTER = "10ms"
 _FORMATS = ("csv", "parquet", "mcap", "mf4")
 _FILES = ("mcap", "mf4")
@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG[,FILTER…]",
-        help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
-        "other, as the segments of a recording",
+        help=f"{LOG_HELP}, with candump's filters to leave frames out; several logs are read one after "
+        "the other, as the segments of a recording",
     )
     add("--format", choices=_FORMATS, help="what to make (default: as PATH ends)")
     add(
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TIME",
         help=f"of one table (--wide, FILE.csv, FILE.parquet): 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})",
     )
-    add("--words", action="store_true", help="csv, parquet: words where the database has them, not numbers")
+    add("--words", action="store_true", help="csv, parquet: the database's words instead of numbers")
     add_part_arguments(parser, signals=True)
     add("--until", help=argparse.SUPPRESS)
     add_database_arguments(parser)
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if args.raster is not None and not args.wide:
         raise WrongUse("--raster goes with --wide")
     if args.words and args.format not in ("csv", "parquet"):
-        raise WrongUse(f"--words does not go with {args.format}: it has numbers, and the words beside them")
+        raise WrongUse(f"--words does not go with {args.format}, which has both numbers and words")
     try:
         step_ns = raster_ns(args.raster or _DEFAULT_RASTER) if args.wide else None
     except ValueError as error:

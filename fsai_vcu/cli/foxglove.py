@@ -27,13 +27,14 @@ from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu foxglove can0\n  fsai-vcu foxglove --layout > fsai.json"
 ABOUT = """\
-Each message is a topic /can/NAME with its signals; /can/state has the words of
-AS state, mission and shutdown cause, /can/bridge what the bridge tells the VCU
-of itself. In Foxglove: open connection, Foxglove WebSocket,
-ws://localhost:8765, then import the layout that --layout prints. A log is
-played once, as fast as it was recorded. It never sends to the bus, and shows it
-to Foxglove's own pages and to programs of this machine, not to other web pages;
---host opens it to a network. Needs the extra foxglove (pip install 'fsai-vcu[foxglove]')."""
+Each message is a topic /can/NAME with its signals. /can/state has AS state,
+mission and shutdown cause in words; /can/bridge has the mission status, direction
+and ESTOP_REQUEST that the bridge sends to the VCU. In Foxglove: open connection,
+Foxglove WebSocket, ws://localhost:8765, then import the layout that --layout
+prints. A log is played once, as fast as it was recorded. This verb never sends to
+the bus. Only Foxglove's own pages and programs of this machine can connect, not
+other web pages; --host opens it to a network. Needs the extra foxglove (pip
+install 'fsai-vcu[foxglove]')."""
 PORT: Final = 8765
 PIECE_NS: Final = 50_000_000  # of a log, handed over at once
 WORDS: Final = {
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError:
         raise UserError("aiohttp is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
     if not args.sources:
-        raise WrongUse("a log or an interface is missing")
+        raise WrongUse("a log or an interface is missing: fsai-vcu foxglove can0")
     check_server(args)
     decoding = Decoding("foxglove", args)
     sources = Sources("foxglove", args.sources, decoding, part_of(args, decoding))

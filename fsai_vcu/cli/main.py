@@ -39,11 +39,11 @@ OWN_VERBS: Verbs = {
     "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels", "machine"),
     "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)", "other"),
     "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals", "watch"),
-    "decode": (".dump", "decode every frame of a log: dump, in the format of logs with signals", "recordings"),
+    "decode": (".dump", "decode every frame of a log: dump in candump's log format, with signals", "recordings"),
     "check": (".check", "say what is wrong on a bus or in a log; with --figures what each message did", "recordings"),
     "monitor": (
         ".monitor",
-        "watch a bus or a log in the terminal: AS state, why it is not driving, what is asked and given",
+        "watch a bus or a log in the terminal: AS state, why the car is not driving, requests and measurements",
         "watch",
     ),
     "pitwall": (
@@ -54,7 +54,7 @@ OWN_VERBS: Verbs = {
     "foxglove": (".foxglove", "show a bus live in Foxglove, decoded; never sends", "watch"),
     "explain": (
         ".explain",
-        "explain a recorded run: what happened, why it braked, or why it did not start",
+        "explain a recorded run: what happened, why the car braked or did not start",
         "recordings",
     ),
     "report": (".report", "turn a recorded run into one page: plots, explanation and figures", "recordings"),
@@ -64,7 +64,7 @@ OWN_VERBS: Verbs = {
     "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge", "machine"),
     "record": (".record", "record a bus, safe on the disk within a second; also as MCAP", "recordings"),
     "export": (".export", "turn a log into tables: CSV, Parquet, MCAP, MF4", "recordings"),
-    "replay": (".replay", "send a log onto a bus again (pitwall LOG plays it to be looked at)", "recordings"),
+    "replay": (".replay", "send the frames of a log onto a bus (to look at a log: pitwall LOG)", "recordings"),
     "completion": (".completion", "print a script with which bash, zsh or fish complete this command", "other"),
     "reference": (".reference", "write the reference of all verbs, as Markdown or as a manual page", "other"),
 }
@@ -98,7 +98,7 @@ class Parser(argparse.ArgumentParser):
             options = (each for action in self._actions if action.help != argparse.SUPPRESS for each in _long(action))
             message += did_you_mean(words.split()[0].partition("=")[0], options, few=0)
         said = "; did you mean " in message or "; there are: " in message
-        more = "" if said else f"; {self.prog} --help shows what there is"
+        more = "" if said else f"; {self.prog} --help shows the arguments"
         if " are required: " in message and self.epilog:
             more = f", as in {self.epilog.splitlines()[1].strip()}{more}"
         self.exit(2, f"{self.prog}: {message}{more}\n")
@@ -204,7 +204,7 @@ def _run(arguments: list[str], at_work: Callable[[], object]) -> int:
         from fsai_vcu.cli.guesses import meant
 
         near = " or ".join(meant(verb, all_verbs()))
-        more = f"did you mean {near}?" if near else "fsai-vcu --help shows what there is"
+        more = f"did you mean {near}?" if near else "fsai-vcu --help lists the verbs"
         print(f"fsai-vcu: no verb '{printable(verb)}'; {more}", file=sys.stderr)
         return 2
     module = module_of(verb)

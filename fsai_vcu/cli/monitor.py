@@ -35,29 +35,32 @@ EXAMPLE = (
     "  fsai-vcu monitor can0 --signals 'AS_STATE,*_TRQ*'"
 )
 ABOUT = """\
-Shows AS state, mission, what stands between now and driving, what is asked for
-and what the car gives, faults, handshake, and every message with its rate and
-age; on pages of their own messages with their bytes, signals, and the history of
-events. It never sends. Ctrl-C or q ends it, space holds the picture, ? shows all
-keys. A log is shown as it stood at its end, or at a moment, or played, with what
-check finds up to there; the keys move in it. Exit status: of a log as for check,
-of a bus or a pipe that is played 1 where something could not be read; 2 wrong
-use. Where the output is no terminal, and with --plain, a line a second is
-printed. The pages need textual (pip install 'fsai-vcu[monitor]')."""
+Shows AS state, mission, why the car is not driving, what is requested and what is
+measured, faults, handshake, and the rate and age of every message. Further pages
+show the bytes of each message, the signals, and the history of events. It never
+sends. Ctrl-C or q ends it, space pauses it, ? shows all keys. A log is shown at
+its end (default), at one moment (--at) or played (--rate), with what check finds
+up to that moment; keys move in the log. Exit status: of a log as for check; of a
+bus or a played pipe 1 if something could not be read; 2 wrong use. With --plain,
+or if the output is no terminal, it prints a line a second. The pages need textual
+(pip install 'fsai-vcu[monitor]')."""
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments: sources, the moment or pace of a log, and the form of the output."""
     add_sources_argument(parser)
     add_part_arguments(parser, messages=False)
     add_database_arguments(parser)
     parser.add_argument("--signals", metavar="NAME,…", help="show these signals; NAME or MESSAGE.NAME, with * and ?")
-    parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
+    parser.add_argument(
+        "--every", type=float, metavar="S", help="seconds between updates (default: 0.25 drawn, 1 printed)"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds (live; default: until Ctrl-C)")
     log = parser.add_mutually_exclusive_group()
-    log.add_argument("--at", metavar="TIME", help="a log as it stood at that time: seconds or time of day, as --from")
+    log.add_argument("--at", metavar="TIME", help="show a log at that time: seconds or time of day, as --from")
     log.add_argument(
         "--rate", type=float, metavar="X", help="play a log, X times as fast as recorded; 0: without waiting"
     )
@@ -126,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
                 recorded=sources.recorded,
             )
         except NoFrames as error:
-            raise UserError(f"no frame of {sources.name} is in that part") from error
+            raise UserError(f"no frame of {sources.name} is in the chosen part") from error
         return found.verdict.unread(sources.unread)
 
     def findings(until_ns: int) -> list[str]:

@@ -35,15 +35,16 @@ EXAMPLE = (
     "fsai-vcu pitwall can0 --ros\n  fsai-vcu pitwall run.log --rate 1 --loop\n  fsai-vcu pitwall can0 --host 0.0.0.0"
 )
 ABOUT = """\
-AS state with its lights, mission, why the car is not driving, what is asked and
-given with ten seconds of it, laps (of as many as the rules have) and their times,
-faults and what to do, the bus, and the driven path: on one page for a wall, a
-tablet or a phone, without a network of others. With --ros also what the running
-nodes say: cones, the planned path, the place to stop at, and the words of bridge,
-planner and controller. It never sends, and the page of a bus has no buttons. It
-is to be seen on this machine only, unless --host opens it. A log plays on the
-same page with a time slider, plots and what explain finds, as in the file that
-report saves. Needs the extra pitwall (pip install 'fsai-vcu[pitwall]')."""
+One page for a wall, a tablet or a phone, which loads nothing from the internet:
+AS state with its lights, mission, why the car is not driving, requests and
+measurements of the last ten seconds, laps (of the number that the rules ask for)
+and their times, faults and what to do, the bus, and the driven path. --ros adds
+what the running nodes say: cones, the planned path, the place to stop at, and the
+words of bridge, planner and controller. It never sends, and the page of a bus has
+no buttons. Only this machine can open the page, unless --host opens it to a
+network. A log plays on the same page with a time slider, plots and what explain
+finds, as in the file that report saves. Needs the extra pitwall (pip install
+'fsai-vcu[pitwall]')."""
 Said = tuple[dict[str, Any], dict[str, Any]]  # for the page's state, and for its story
 PORT: Final = 8650
 SHOWN_S: Final = 0.2
@@ -57,7 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_part_arguments(parser, messages=False)
     parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast as recorded (default: 1)")
     parser.add_argument("--loop", action="store_true", help="play a log again and again")
-    parser.add_argument("--ros", action="store_true", help="also what the running nodes say: cones, path and status")
+    parser.add_argument(
+        "--ros", action="store_true", help="also show what the running nodes say: cones, path and status"
+    )
     parser.add_argument("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
     add_server_arguments(parser, PORT)
 

@@ -25,11 +25,10 @@ if TYPE_CHECKING:
 
 EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
 ABOUT = """\
-A signal is NAME or MESSAGE.NAME, * and ? stand for anything; signals of one
-unit share an axis, behind which the AS state is a band of its colour. The ending
-of the file says the format: png, svg, pdf, which need matplotlib (pip install
-'fsai-vcu[plot]'), or html: the page of report, with its exit status, and these
-signals on top."""
+A signal is NAME or MESSAGE.NAME, with * and ?. Signals of one unit share an axis;
+the colour behind it is the AS state. The ending of the file is the format: png,
+svg or pdf, which need matplotlib (pip install 'fsai-vcu[plot]'), or html, which
+saves the page of report with these signals on top, with report's exit status."""
 
 _FORMATS: Final = ("", "png", "svg", "pdf")
 

@@ -42,7 +42,7 @@ _TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a se
 _BOUNDS: Final = {  # of a folder: default, metavar, help
     "segment_size": ("64M", "SIZE", "begin a new segment at this size"),
     "segment_time": ("10min", "TIME", "… or after this time: 30s, 10min, 1h"),
-    "max_total": ("4G", "SIZE", "most that all segments take; the oldest are deleted"),
+    "max_total": ("4G", "SIZE", "most space for all segments; the oldest are deleted"),
 }
 _SIZES: Final = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a folder: numbered segments of limited size, continued after a restart; a file (run.log): one candump "
         "log, which must not exist yet, and run.json about it",
     )
-    add("--service", action="store_true", help="as the recording service does: what the car's configuration says")
+    add("--service", action="store_true", help="record as the recording service does, as the car's configuration says")
     add("--config", type=Path, metavar="FILE", help="with --service: the configuration (default: /etc/fsai/fsai.toml)")
     add("--seconds", type=float, metavar="S", help="stop after S seconds (default: until Ctrl-C)")
     add("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
@@ -70,7 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for option, (default, metavar, words) in _BOUNDS.items():
         add(f"--{option.replace('_', '-')}", metavar=metavar, help=f"{words} (default: {default})")
     add("--keep-free", default="256M", metavar="SIZE", help="leave this much of the disk free (default: 256M)")
-    add("--patient", action="store_true", help="as the service: try again every second while nothing can be written")
+    add(
+        "--patient",
+        action="store_true",
+        help="while nothing can be written, try again every second, as the service does",
+    )
     add(
         "--limits",
         type=Path,
@@ -249,12 +253,12 @@ def _bounds(args: argparse.Namespace) -> Bounds:
     given = {option: getattr(args, option) for option in _BOUNDS}
     if args.output.suffix != "" and not is_folder(args.output):
         for option in (option for option, text in given.items() if text is not None):
-            raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
+            raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, but {args.output} is a file")
         return Bounds(keep_free_bytes=keep_free)
     size, duration, total = (given[option] or default for option, (default, _, _) in _BOUNDS.items())
     most = _size(total, "--max-total")
     if most < 1 << 20:
-        raise WrongUse(f"--max-total is {total}, but less than 1M is no recording")
+        raise WrongUse(f"--max-total is {total}, but must be at least 1M")
     return Bounds(max(1, _size(size, "--segment-size")), _time_ns(duration, "--segment-time"), most, keep_free)
 
 

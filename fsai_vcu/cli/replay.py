@@ -47,13 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--skip-pauses",
         action="store_true",
-        help="wait no longer than a second where the log has a pause of over a minute",
+        help="shorten each pause of over a minute in the log to a second",
     )
     add("--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out")
     add(
         "--with-ai-ids",
         action="store_true",
-        help="send 0x510 to 0x514 too: a bridge on the bus takes them for a second sender",
+        help="send 0x510 to 0x514 too: to a bridge on the bus they come from a second sender",
     )
 
 
@@ -73,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
     physical = is_physical(args.interface)
     if physical and not args.physical:
         raise UserError(
-            f"{args.interface} may be a real bus, with a car on it: frames of a log move things there; "
-            "if you mean it, say --physical"
+            f"{args.interface} may be a real bus, with a car on it: frames of a log can move it; "
+            "to send all the same, add --physical"
         )
     chosen, left_out = choose(sources.everything(), with_ai_ids=args.with_ai_ids, physical=physical)
     if left_out:
@@ -122,5 +122,6 @@ def _result(player: Player, sent: str) -> int:
         print(f"fsai-vcu replay: {player.refused} frames not sent: the transmit queue stayed full", file=sys.stderr)
     if player.late_max_ns > _LATE_NS:
         late = f"frames were sent up to {player.late_max_ns / 1e6:.0f} ms late"
-        print(f"fsai-vcu replay: {late}: over a cycle (10 ms), so what times them sees gaps", file=sys.stderr)
+        gaps = "more than a cycle (10 ms): a receiver that supervises periods sees gaps"
+        print(f"fsai-vcu replay: {late}, {gaps}", file=sys.stderr)
     return 1 if player.refused else 0

@@ -16,9 +16,9 @@ from fsai_vcu.interface.errors import UserError, WrongUse
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
 One HTML file: the pit wall's page at any moment of the log, with its plots, what
-explain finds and the figures of check --figures; it opens offline and loads
+explain finds and the figures of check --figures. It opens offline and loads
 nothing from elsewhere. Exit status: as for check, by the verdict on top of the
-page, which is saved all the same; 1 also where it cannot be."""
+page, which is saved whatever the verdict is; 1 also if it cannot be saved."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,5 +66,5 @@ def _beside(sources: Sources) -> Path:
         raise WrongUse("-o is missing: -o report.html")
     page = beside(Path(sources.name), ".html")
     if is_there(page):
-        raise WrongUse(f"{page} exists already: -o {page} writes over it")
+        raise WrongUse(f"{page} exists already: -o {page} overwrites it")
     return page

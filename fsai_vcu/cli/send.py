@@ -24,14 +24,14 @@ EXAMPLE = (
     "  fsai-vcu send vcan0 AI2VCU_Steer STEER_REQUEST=5 --as-ai"
 )
 ABOUT = """\
-Signals that are not named get the database's initial value, or 0; where 0 is
-out of range they must be named. Values are numbers or words of the signal's
-table. Identifiers that are reserved for the car, the VCU's and those of the
-car's other devices are always refused. The AI computer's own (0x510 to 0x514)
-are refused without --as-ai: a car that receives them switches its tractive
-system on and arms its EBS. So is 0x501 of the PCAN-GPS, which an AI computer
-sends only on a car that has none. A bus on which another program sends
-them already is refused, and left at once if one begins to."""
+A signal that is not named gets the database's initial value, or 0; it must be
+named if 0 is out of its range. Values are numbers or words of the signal's table.
+Identifiers reserved for the car, and those of the VCU and of the car's other
+devices, are always refused. The AI computer's identifiers (0x510 to 0x514) are
+refused without --as-ai: a car that receives them switches its tractive system on
+and arms its EBS. 0x501 of the PCAN-GPS is refused without --as-ai, too: an AI
+computer sends it only on a car without a PCAN-GPS. If another program sends them
+on this bus already, nothing is sent; if one begins to, sending ends at once."""
 
 _LISTEN_S = 0.5  # fifty cycles of a bridge
 _LEAST_LISTEN_S = 0.2  # as long as a bridge itself listens before it sends
@@ -96,7 +96,7 @@ def _show(args: argparse.Namespace, frame: Outgoing) -> None:
     values = ", ".join(f"{name} {value}" for name, value in frame.values.items())
     print(f"{frame.message}: {values or 'no signals'}", file=sys.stderr)
     if frame.filled:
-        print(f"not named, so as the database begins: {', '.join(frame.filled)}", file=sys.stderr)
+        print(f"not named, so at the database's initial value: {', '.join(frame.filled)}", file=sys.stderr)
 
 
 def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:

@@ -64,9 +64,9 @@ def ros_errors() -> Iterator[None]:
         why = printable((str(error).splitlines() or ["it gives no reason"])[0], LINE)
         if os.environ.get("ROS_SECURITY_ENABLE") != "true":
             raise UserError(f"ROS 2 does not start: {why}") from error
-        keystore = os.environ.get("ROS_SECURITY_KEYSTORE", "the one that ROS_SECURITY_KEYSTORE is to name")
+        keystore = os.environ.get("ROS_SECURITY_KEYSTORE", "the folder that ROS_SECURITY_KEYSTORE must name")
         raise UserError(
-            f"DDS is to be encrypted and cannot be ({why}): it needs the distribution's ROS 2, "
+            f"DDS encryption is switched on, but does not start ({why}): it needs the distribution's ROS 2, "
             f"and keys of `fsai-vcu enclaves` that this user may read, in {keystore}"
         ) from error
 
@@ -121,7 +121,7 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
                     "fsai_operator", namespace=namespace, enable_rosout=False, start_parameter_services=False
                 )
         except InvalidNamespaceException as error:
-            raise UserError(f"--namespace {namespace}: that is no ROS namespace; one is like /car1") from error
+            raise UserError(f"--namespace {namespace} is not a ROS namespace; an example is /car1") from error
         ending.callback(node.destroy_node)
         yield node
 

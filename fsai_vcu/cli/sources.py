@@ -93,7 +93,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
     """
     if len(runs := sources.runs()) > 1:
         names = " | ".join(run.name for run in runs)
-        raise UserError(f"these logs have clocks of their own, so they are {len(runs)} runs; name one: {names}")
+        raise UserError(f"the clocks of these logs differ: they are {len(runs)} runs; name the logs of one: {names}")
     from fsai_vcu.diagnostics.explain.record import NoFrames
     from fsai_vcu.diagnostics.verdict.judging import judged as judged_frames
 
@@ -116,7 +116,7 @@ def judged(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Ju
             left_out=sources.left_out_keys(part, decoding),
         )
     except NoFrames as error:
-        raise UserError(f"no frame of {sources.name} is in that part") from error
+        raise UserError(f"no frame of {sources.name} is in the chosen part") from error
     return found._replace(verdict=found.verdict.unread(sources.unread))
 
 
@@ -308,7 +308,7 @@ class Sources:
     def check_output(self, path: Path) -> None:
         """Raise WrongUse where a log would be written over with what is made of it."""
         if is_file(path) and any(is_file(name) and path.samefile(name) for name, _ in self._rules):
-            raise WrongUse(f"{path} is the log that is read: it would be written over")
+            raise WrongUse(f"{path} is the log that is read, and would be overwritten")
 
     def learn(self) -> None:
         """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
@@ -339,7 +339,7 @@ class Sources:
             found = one if found is None else found.joined(one)
         self._recorded = lambda: found or IN_ORDER
         if self._part and self.first_ns is not None and not inside:
-            raise UserError(f"no frame of {self.name} is in that part")
+            raise UserError(f"no frame of {self.name} is in the chosen part")
 
     def _report(self, log: Log, frames: int) -> None:
         """Say what could not be read of a log of so many frames: of one of several in one line."""

@@ -1,7 +1,7 @@
 """Remedies for whatever the diagnostics find: one table, by the slug of a cause or the kind of a finding.
 
 Where the AI computer's frames are not this software's, a remedy speaks of your AI computer: this software cannot
-name its commands, services and logs. Where the bus is a virtual one it speaks of programs, for there is no plug.
+name its commands, services and logs. Where the bus is virtual it speaks of programs, for there is no plug.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 from fsai_vcu.core.supervision.config import TO_DO, Reason
 
 _CAR_RESTART: Final = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
-_SENDER: Final = "look why its sender is silent: its supply, its CAN plug, or the program that sends it"
+_SENDER: Final = "check the sender: its supply, its CAN plug, its program"
 _BUSY: Final = "nothing is wrong with car or software: drive again with less running on this computer"
-_BETWEEN: Final = "send a whole cycle with both at zero between torque and brake, either way"
+_BETWEEN: Final = "between torque and brake, in either order, send a whole cycle with both at zero"
 
 REMEDIES: Final[Mapping[str, str]] = {
     # Causes of an emergency brake, of a stop, and of a car that does not start (explain/causes.py has their words)
@@ -37,11 +37,11 @@ REMEDIES: Final[Mapping[str, str]] = {
     "charge_procedure": "end charging in the order of the manual, unplug, power-cycle",
     "bms": ("read the BMS (cell voltages and temperatures, current) before driving again; charge or cool the battery"),
     "torque_with_brake": (
-        "send a whole cycle with both at zero between torque and brake; a safety gate must let the brake win"
+        "between torque and brake send a whole cycle with both at zero; a safety gate must let the brake win"
     ),
     "asms_off": f"nothing is broken: leave ASMS on until the car has finished; {_CAR_RESTART}",
     "tsms_off": f"nothing is broken: leave TSMS on until ASMS is off; {_CAR_RESTART}",
-    "remote_estop": f"release it when the reason is gone; {_CAR_RESTART}",
+    "remote_estop": f"release the E-stop when the reason for it is gone; {_CAR_RESTART}",
     "radio_lost": "check the remote's battery, antenna and distance; test the range before the next run",
     "ts_fault": "look at the battery, the HVIL and the inverters, then switch the car off and on",
     "pushbar_in_driving": f"unplug the pushbar before a run; {_CAR_RESTART}",
@@ -52,22 +52,23 @@ REMEDIES: Final[Mapping[str, str]] = {
         "against the official simulator hold and stop by torque with a low MOTOR_SPEED_MAX (service_brake: "
         "motor), and keep 0x514 at zero"
     ),
-    "before_the_log": "look at what was before, or record from power-up on",
+    "before_the_log": "look at what happened before the log, or record from power-up on",
     "unknown": f"{_CAR_RESTART}; record the next run whole",
     "planned_end": (
-        f"nothing: static inspection B and the autonomous demo end like this; for the next mission {_CAR_RESTART}"
+        "nothing is wrong: static inspection B and the autonomous demo end like this; for the next mission "
+        f"{_CAR_RESTART}"
     ),
     "not_on_the_bus": "look in the software's own log for the emergency's cause",
     **{reason.slug: to_do for reason, to_do in TO_DO.items()},
     "vcu_hung": "check the VCU's supply and connectors; if it happens again have its software looked at",
     "status_frozen": (
-        "have the VCU's software looked at; look for a gateway or a replay that repeats old frames; where it "
-        "has been so from the first frame on, see whether the VCU hears the AI computer (its CAN plug)"
+        "have the VCU's software looked at; look for a gateway or a replay that repeats old frames; if 0x520 "
+        "repeats itself from the first frame on, check whether the VCU receives the AI computer (its CAN plug)"
     ),
     "frames_wrong": "look for a second sender of 0x520 (a simulator, a replay); else have the VCU's software looked at",
     "ai_silent": (
-        "the program ended or hung, its adapter went bus-off, or its CAN plug or power went: look at its log "
-        "(journalctl -b -u 'fsai-bridge@*'), at ip -details -statistics link show can0, and at the plug"
+        "the AI computer's program ended or hung, its adapter went bus-off, or it lost its CAN plug or power: look at "
+        "its log (journalctl -b -u 'fsai-bridge@*'), at ip -details -statistics link show can0, and at the plug"
     ),
     "ai_message_missing": "send all five of 0x510 to 0x514 every 10 ms: ten missing in a row stop the car",
     "ai_message_length": "send 0x510 with 8 bytes, 0x511 and 0x512 with 4, 0x513 and 0x514 with 2",
@@ -75,8 +76,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     "echo_wrong": "send back in 0x510 the HANDSHAKE bit of the newest 0x520 as it is, in every cycle",
     "handshake_stands": "check the VCU's CAN plug and its wiring; if it happens again have its software looked at",
     "ai_bus_off": (
-        "look what makes its frames fail: its CAN plug, termination, bit rate, another node with the same ids; have it"
-        " restart its interface by itself (ip link set can0 type can restart-ms 100)"
+        "find out why the AI computer's frames fail: its CAN plug, termination, bit rate, another node with the same"
+        " ids; have its interface restart by itself (ip link set can0 type can restart-ms 100)"
     ),
     "ai_unheard": (
         "the fault lies between this log's plug and the VCU: wiring, termination, the VCU's own plug; where the"
@@ -84,7 +85,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "not_selected_simulator": "keep RUNNING while driving, then FINISHED at rest",
     "not_driven": (
-        "see what the planner says: lost and why, no cones, no path among them, or another mission than this track's"
+        "see what the planner says: lost, and why; no cones; no path through them; or a mission of another track"
     ),
     "stop_asked": "look in the software's own log for the stop's cause",
     "power_off": "switch off in the order ASMS, TSMS, LVMS, after the car has stopped",
@@ -99,14 +100,14 @@ REMEDIES: Final[Mapping[str, str]] = {
     "ebs_not_armed": "check the shutdown circuit (E-stops, dongle, remote) and the EBS air pressure; ASMS must be on",
     "status_not_selected": "fsai-vcu mode autonomous; then see which of planner and controller does not confirm",
     "status_running": "send SELECTED in AS_OFF and AS_READY, and RUNNING only once AS_DRIVING is seen",
-    "status_finished": "reset the mission state in AS_OFF and say SELECTED",
-    "estop_latched": "clear it by /reset in AS_OFF, after its cause is gone",
+    "status_finished": "in AS_OFF reset the mission state and send SELECTED",
+    "estop_latched": "remove the cause of the request, then clear it by /reset in AS_OFF",
     "power_cycle": (
         "ASMS, TSMS and LVMS off, and on again: 2026 cars need it after every mission, all after an emergency brake"
     ),
     "fault": TO_DO[Reason.FAULT_STATUS],
     "op_fault": "look at the other faults that 0x520 names; TSMS and LVMS off and on again",
-    "shutting_down": "TSMS was turned off: let it shut down, then LVMS off and on",
+    "shutting_down": "TSMS was turned off: let the car shut down, then LVMS off and on",
     "steering_inactive": "check that ASMS is on and the tractive system runs; then the steering controller's fault",
     "brakes_not_ready": "check the brake controller; power-cycle",
     "go_held": "Go off and on again",
@@ -116,7 +117,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "direction_not_neutral": "send NEUTRAL until AS_DRIVING, then FORWARD",
     "ready_not_selected": "send SELECTED until AS_DRIVING is seen",
     "vcu_unheard": "LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)",
-    "braked": f"put its cause right, then {_CAR_RESTART}",
+    "braked": f"remove the cause of the emergency brake, then {_CAR_RESTART}",
     "no_go": "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)",
     "go_too_early": "Go off, wait until the ASSI shows yellow and blue, Go on again",
     "given_up": "turn ASMS on to start again",
@@ -126,7 +127,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "start_unclear": "look at the display and the ASSI; record both directions of the bus",
     "start_unknown": "look at the display and the ASSI; EBS test and shutdown circuit are not all on the bus",
     "status_length": "compare the VCU's interface revision with the database",
-    "no_as_state": "use the car's own (no --dbc), or --revision",
+    "no_as_state": "use the car's own database (no --dbc), or --revision",
     "torque_not_given": (
         "check inverter and motor faults and the tractive system's voltage; compare TRQ_MAX in 0x521 and 0x522"
     ),
@@ -135,18 +136,16 @@ REMEDIES: Final[Mapping[str, str]] = {
     ),
     "neutral_in_driving": "say FORWARD in 0x510 once AS_DRIVING is seen, before the first torque",
     "never-running": "say RUNNING as soon as AS_STATE is AS_DRIVING, and not before",
-    "speed_limit_zero": "send with the torque the speed up to which the motors may give it: 4000 rpm at most",
+    "speed_limit_zero": "send MOTOR_SPEED_MAX with the torque: the highest motor speed with torque, 4000 rpm at most",
     "torque-brake": _BETWEEN,
-    "axle": "ask it of the axle that is driven (2026: the rear one, 0x512), the other one gets 0",
-    "brake_held": (
-        "see what the planner waits for: it holds the car with the brake; no cones, no path, or another mission"
-    ),
-    "no_torque_asked": "see what planner and controller say: no path, speed 0, or the mission's end",
-    "finished_not_taken": "turn ASMS off to end the run; else see why the VCU does not read 0x510",
+    "axle": "request the torque from the driven axle (2026: rear, 0x512), and 0 from the other axle",
+    "brake_held": ("see what the planner waits for while the brake is held: no cones, no path, or another mission"),
+    "no_torque_asked": "see why planner and controller ask for no torque: no path, speed 0, or the mission's end",
+    "finished_not_taken": "turn ASMS off to end the run; if it does not end, find out why the VCU does not read 0x510",
     "stands": "look at the car: brakes, drive shafts, what the display says; record both directions from power-up on",
     "derated_hot": "let the battery cool; until then ask for no more than AXLE_TRQ_MAX",
     "derated_empty": "charge the battery; until then ask for no more than AXLE_TRQ_MAX",
-    "derated": "ask for no more than AXLE_TRQ_MAX, and look why the car allows so little: inverter, motor, battery",
+    "derated": "ask for no more than AXLE_TRQ_MAX; find out why the car allows so little: inverter, motor, battery",
     "torque_unasked": (
         "do not drive: press an E-stop, then have inverter and torque request looked at with the car on stands"
     ),
@@ -161,43 +160,43 @@ REMEDIES: Final[Mapping[str, str]] = {
     "stood_still": _BUSY,
     "frames_lost_here": "record again with less running on this computer; the log cannot tell more",
     # Kinds of findings on a log (verdict/)
-    "silent": "see whether the car is on and the bit rate right, and look at the CAN plug",
+    "silent": "check that the car is on and the bit rate is right; check the CAN plug",
     "missing": _SENDER,
     "gap": _SENDER,
     "stopped": _SENDER,
     "echo": "send back in 0x510 the HANDSHAKE bit of the last 0x520 as it is, in every cycle",
     "handshake": "look at the load of the AI computer and of the bus, and at the log of vcu_bridge",
     "pulses_stand": "check the pulse sensor of that wheel, and its plug",
-    "wrong-length": "find the sender, and see whether --revision is the car's",
+    "wrong-length": "check that --revision is the car's; find the sender",
     "remote_frames": "find the sender: only the AI computer may use 0x510 to 0x514, and it sends no remote frames",
     "reserved": "end the program on this computer that sends it",
-    "period": "see whether --revision is the car's, whether somebody else sends it too, or its sender is held up",
+    "period": "check that --revision is the car's, and that the message has one sender, which is not held up",
     "second_car": "stop the simulated car or the replay (fsai-vcu vcu, canplayer), or take one of two cars off the bus",
-    "lossy": ("look why: the recording computer is too slow, the bus too full, or it has errors"),
-    "recorder": "look whether the recording computer was held up",
+    "lossy": "find out which: the recording computer is too slow, the bus is too full, or the bus has errors",
+    "recorder": "check whether the recording computer was too busy",
     "steering-sign": "see which of the two has its sign swapped: positive turns left (ISO 8855), in 0x513 and in 0x523",
     "one-call": _BETWEEN,
 }
 
 _THEIRS: Final[Mapping[str, str]] = {
     "ai_computer_request": (
-        f"find out from your AI computer's log why it asked, then {_CAR_RESTART}; have it take ESTOP_REQUEST back"
+        f"find out from your AI computer's log why it asked, then {_CAR_RESTART}; have it set ESTOP_REQUEST to 0"
     ),
-    "loop_fault": "look what kept the processor of your AI computer busy",
-    "command_stale": "look in the log of your AI computer why it asked for nothing any more",
+    "loop_fault": "find out what kept the processor of your AI computer busy",
+    "command_stale": "find out from your AI computer's log why it stopped sending commands",
     "not_seen": "start your AI computer before the car leaves AS_OFF, then start again from AS_OFF",
-    "not_on_the_bus": "look in the log of your AI computer for what made it ask",
+    "not_on_the_bus": "find out from your AI computer's log why it asked",
     "ai_silent": (
-        "your AI computer's program ended or hung, its adapter went bus-off, or its CAN plug or power went: look at its"
-        " log, at the state of its CAN interface, and at the plug"
+        "your AI computer's program ended or hung, its adapter went bus-off, or it lost its CAN plug or power: look at"
+        " its log, at the state of its CAN interface, and at the plug"
     ),
-    "stop_asked": "look in the log of your AI computer why it stopped the car",
-    "not_driven": "see in the log of your AI computer what it waits for, and whether its mission is the car's",
-    "brake_held": "see in the log of your AI computer why it holds the car with the brake",
-    "no_torque_asked": "see in the log of your AI computer why it steers and does not drive",
+    "stop_asked": "find out from your AI computer's log why it stopped the car",
+    "not_driven": "find out from your AI computer's log what it waits for, and whether its mission is the car's",
+    "brake_held": "find out from your AI computer's log why it holds the car with the brake",
+    "no_torque_asked": "find out from your AI computer's log why it steers and does not drive",
     "no_ai_data": "start your AI computer on this bus (2021: AIMS on), and check its CAN plug",
-    "status_not_selected": "have your AI computer say SELECTED once it has the mission of AMI_STATE and is ready",
-    "estop_latched": "have your AI computer take ESTOP_REQUEST back in AS_OFF, after its cause is gone",
+    "status_not_selected": "have your AI computer send SELECTED once it has the mission of AMI_STATE and is ready",
+    "estop_latched": "remove the cause, then have your AI computer set ESTOP_REQUEST to 0 in AS_OFF",
     "brake_request_simulator": (
         "against the official simulator your AI computer holds and stops by torque with a low MOTOR_SPEED_MAX, and"
         " keeps 0x514 at zero"
@@ -207,7 +206,9 @@ _THEIRS: Final[Mapping[str, str]] = {
 """Remedies in the same form where the AI computer's frames are not this software's."""
 
 
-_PROGRAM: Final = "the bus is a virtual one: see whether its program ended or hung (its log), and what else ran there"
+_PROGRAM: Final = (
+    "the bus is virtual: see whether the sender's program ended or hung (its log), and what else ran on that computer"
+)
 _VIRTUAL: Final[Mapping[str, str]] = {
     **dict.fromkeys(("ai_silent", "ai_comms_lost", "ai_unheard", "ai_bus_off", "no_ai_data", "missing"), _PROGRAM),
     **dict.fromkeys(("vcu_silent", "vcu_reboot", "vcu_hung", "vcu_unheard", "handshake_stands", "gap"), _PROGRAM),

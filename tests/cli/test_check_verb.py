@@ -31,7 +31,7 @@ def test_a_bus_without_the_car_is_measured_and_not_called_ok(well: Path, capsys:
     assert run(well, "--figures") == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].startswith("verdict: UNKNOWN: no 0x520 was received")
-    assert "the 1 message that has a period comes in it, without gaps" in lines
+    assert "the 1 periodic message comes in its period, without gaps" in lines
     assert [line.split() for line in lines if line.startswith("123 ")] == [
         ["123", "Ours", "100", "10", "10.00", "0.00", "0.00", "0.00", "0", "10.00", "0", "1.34%"]
     ]
@@ -106,7 +106,7 @@ def test_logs_of_different_clocks_are_several_runs(tmp_path: Path, capsys: pytes
     assert main(["explain", str(tmp_path)]) == 1
     assert capsys.readouterr().out.count("\nverdict: ") == 3
     assert main(["report", str(tmp_path), "-o", str(tmp_path / "page.html")]) == 1
-    assert "they are 3 runs; name one: " in capsys.readouterr().err
+    assert "they are 3 runs; name the logs of one: " in capsys.readouterr().err
 
 
 def test_a_log_that_cannot_be_read_is_no_run_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -116,13 +116,13 @@ def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
         (replace(WELL, starts_at_boot=False), "services", "bridge@can0 starts whenever its adapter is there"),
         (replace(WELL, scheduling=Scheduling("SCHED_OTHER", 0, True)), "scheduling", "SCHED_OTHER"),
         (replace(WELL, scheduling=Scheduling("SCHED_FIFO", 45, False)), "memory", "not locked"),
-        (replace(WELL, rt_runtime_us=0), "scheduling", "no time at all"),
+        (replace(WELL, rt_runtime_us=0), "scheduling", "does not let real-time threads run"),
         (replace(WELL, clock_year=1970), "clock", "the year 1970"),
         (replace(WELL, disk_free_mib=3), "disk", "3 MiB free"),
         (replace(WELL, folder_problem="x belongs to root"), "disk", "belongs to root"),
         (replace(WELL, bus=replace(BUS, from_ai=True, from_others=False)), "bus", "only this computer's"),
-        (replace(WELL, changed_since_start=(WANTED.path,)), "configuration", "changed after the bridge had started"),
-        (replace(WELL, changed_since_start=(WANTED.limits_path,)), "limits", "changed after the bridge had started"),
+        (replace(WELL, changed_since_start=(WANTED.path,)), "configuration", "changed after the start of the bridge"),
+        (replace(WELL, changed_since_start=(WANTED.limits_path,)), "limits", "changed after the start of the bridge"),
         (replace(WELL, ros=replace(WELL.ros, implementation="rmw_cyclonedds_cpp")), "DDS", "runs on rmw_cyclonedds"),
         (replace(WELL, file_problems=((WANTED.path, "cannot be read"),)), "permissions", "cannot be read"),
     ],
@@ -190,7 +190,7 @@ LEFT = ("/dev/shm/fastrtps_0a", "/dev/shm/fastrtps_0a_el")
         (replace(WELL, ros=replace(WELL.ros, implementation=None)), "DDS", "note", "not looked at: run with sudo"),
         (replace(WELL, dds_leftovers=LEFT), "DDS", "note", "2 files in /dev/shm of ROS programs that were killed"),
         (replace(WELL, ros=replace(WELL.ros, distribution="humble")), "ROS 2", "right", "humble"),
-        (replace(WELL, ros=replace(WELL.ros, distribution="lunar")), "ROS 2", "note", "lunar, with which nothing was"),
+        (replace(WELL, ros=replace(WELL.ros, distribution="lunar")), "ROS 2", "note", "lunar, which was never"),
         (replace(WELL, ros=replace(WELL.ros, unused="/opt/ros/jazzy")), "ROS 2", "note", "/opt/ros/jazzy is there too"),
         (replace(WELL, ros=Ros("/opt/fsai", "", True, True)), "ROS 2", "right", "from the package index, /opt/fsai"),
         (
@@ -269,7 +269,7 @@ def test_the_bus_is_reported_and_the_exit_status_is_the_verdict(file: str, capsy
     by_topic = {finding["topic"]: finding for finding in report["findings"]}
     assert by_topic["bus"]["level"] == "right" and "the VCU sends" in by_topic["bus"]["words"]
     assert by_topic["revision"]["level"] == "right"
-    assert by_topic["wheels"]["level"] == "note" and "none turns" in by_topic["wheels"]["words"]
+    assert by_topic["wheels"]["level"] == "note" and "no wheel turns" in by_topic["wheels"]["words"]
     assert status == (1 if report["wrong"] else 0)
     assert report["wrong"] == sum(finding["level"] == "wrong" for finding in report["findings"])
 
@@ -388,7 +388,7 @@ ON_A_LAPTOP = "; it cannot drive the car: the lines 'for the car' say what it la
         (replace(LAPTOP, may_be_real_time=True), f"this computer can simulate{ON_A_LAPTOP}"),
         (
             replace(LAPTOP, may_be_real_time=True, dds_leftovers=LEFT),
-            f"this computer can simulate; 1 to put in order (->){ON_A_LAPTOP}",
+            f"this computer can simulate; 1 to correct (->){ON_A_LAPTOP}",
         ),
         (replace(LAPTOP, ros=Ros(), dds_leftovers=LEFT), f"1 wrong{ON_A_LAPTOP}"),
     ],

@@ -137,7 +137,7 @@ def test_several_logs_are_one_and_a_part_of_them_is_judged(
     assert first.startswith("5.2 s into the log | AS_DRIVING") and last.startswith("5.9 s into the log")
     assert verdict in last
     assert main(["monitor", log, "--from", "60", "--plain"]) == 1
-    assert capsys.readouterr().err == f"fsai-vcu monitor: no frame of {log} is in that part\n"
+    assert capsys.readouterr().err == f"fsai-vcu monitor: no frame of {log} is in the chosen part\n"
 
 
 def test_played_at_a_rate_a_log_takes_its_time(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,7 +34,10 @@ USES = [
     *((f"explain run.log {option} nan", 2, f"{option} is nan") for option in ("--from", "--to")),
     *((f"{verb} run.log --revision 2030", 2, "choose one of 2021, 2026") for verb in ("decode", "monitor")),
     *((f"{verb} run.log --dbc gone.dbc", 1, "gone.dbc: cannot be read: No such") for verb in ("decode", "monitor")),
-    *((f"{verb} run.log --from 500", 1, "run.log is in that part") for verb in ("decode", "dump", "check", "explain")),
+    *(
+        (f"{verb} run.log --from 500", 1, "run.log is in the chosen part")
+        for verb in ("decode", "dump", "check", "explain")
+    ),
     *(
         (f"{verb} {BUS} --seconds 0", 2, "--seconds is 0, not a time")
         for verb in ("explain", "report -o x.html", "check")
@@ -48,7 +51,7 @@ USES = [
         for verb in ("check", "explain", "report -o x.html")
     ),
     *(
-        (f"{verb} -o run.log", 2, "run.log is the log that is read: it would be written over")
+        (f"{verb} -o run.log", 2, "run.log is the log that is read, and would be overwritten")
         for verb in (
             "export run.log --format mf4",
             "export folder/../run.log --format mcap",
@@ -71,8 +74,12 @@ USES = [
     ("dump run.log -t q", 2, "argument -t: invalid choice: 'q'; there are: a, A, d, z"),
     ("plot run.log", 2, "no signal is named: fsai-vcu plot run.log ANGLE 'VCU2AI_Speeds.*'"),
     (f"report {BUS} --seconds 1", 2, "-o is missing: -o report.html"),
-    ("send no0 513#3200", 2, "'513#3200' is a raw frame, for cansend; here: AI2VCU_Steer STEER_REQUEST=…"),
-    ("send no0 7FF#00", 2, "'7FF#00' is a raw frame, for cansend; here: send takes BUS MESSAGE SIGNAL=VALUE, and "),
+    ("send no0 513#3200", 2, "'513#3200' is a raw frame, for cansend; send takes: AI2VCU_Steer STEER_REQUEST=…"),
+    (
+        "send no0 7FF#00",
+        2,
+        "'7FF#00' is a raw frame, for cansend; send takes: send takes BUS MESSAGE SIGNAL=VALUE, and ",
+    ),
     ("send no0", 1, "no message 'no0'; send takes BUS MESSAGE SIGNAL=VALUE, and fsai-vcu dbc show lists"),
     (
         "send",
@@ -86,10 +93,10 @@ USES = [
     ("dbc show 0x513 nothing", 1, "no message or signal nothing in 2026"),
     ("dbc diff 2021", 2, "diff takes two databases"),
     ("dbc list --dbc absent.dbc", 1, "absent.dbc"),
-    ("dump run.log -n 0", 2, "-n is 0, but at least 1 frame can be shown"),
+    ("dump run.log -n 0", 2, "-n is 0, but must be at least 1"),
     ("dump run.log -T nan", 2, "-T is nan, not a time"),
-    ("dump run.log -L -a", 2, "-a and -t A are of candump's screen: without -L, and with dump"),
-    ("decode run.log -t A", 2, "-a and -t A are of candump's screen: without -L, and with dump"),
+    ("dump run.log -L -a", 2, "-a and -t A work only with dump, and not with -L"),
+    ("decode run.log -t A", 2, "-a and -t A work only with dump, and not with -L"),
     ("dump run.log --signals NO_SUCH", 1, "no signal NO_SUCH"),
     ("dump run.log --from noon", 2, "--from is noon"),
     ("dump run.log,520", 2, "no filter: '520'; a filter is ID:MASK"),
@@ -105,8 +112,8 @@ USES = [
             ("run.log,nonsense", 2, "no filter: 'nonsense'"),
             ("run.log --dbc gone.dbc", 1, "gone.dbc: cannot be read: No such file or directory"),
             ("run.log --raster 10ms", 2, "--raster goes with --wide"),
-            ("run.log --wide --raster 10", 2, "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us"),
-            ("run.log --wide --raster 0ms", 2, "no raster: '0ms'"),
+            ("run.log --wide --raster 10", 2, "'10' is not a raster: a raster is a time like 10ms, 0.5s or 100us"),
+            ("run.log --wide --raster 0ms", 2, "'0ms' is not a raster"),
         )
     ),
     *((f"{each} -o {LONG}.{end}", 1, "File name too long") for each, end in WRITERS),
@@ -161,9 +168,9 @@ USES = [
     *(
         (f"record -i {BUS} -o {use}", status, words)
         for use, status, words in (
-            ("new.log --max-total 1G", 2, "--max-total goes with a folder, and new.log is to be a file"),
+            ("new.log --max-total 1G", 2, "--max-total goes with a folder, but new.log is a file"),
             ("new --max-total much", 2, "--max-total is 'much', not a size like 64M or 4G"),
-            ("new --max-total 10K", 2, "--max-total is 10K, but less than 1M is no recording"),
+            ("new --max-total 10K", 2, "--max-total is 10K, but must be at least 1M"),
             ("new --segment-time 5", 2, "--segment-time is '5', not a time like 30s, 10min or 1h"),
             ("new.log --seconds -1", 2, "--seconds is -1, but must be 0 or more"),
             ("new --ros", 2, "--ros goes with --mcap"),

@@ -205,7 +205,7 @@ def test_a_lost_link_without_logged_ai_frames_blames_no_message() -> None:
 
 def test_where_the_state_is_unknown_no_brake_is_denied() -> None:
     unknown, known = (verdict(explained(Record(frames))) for frames in (without(stopped(), 0x520), stopped()))
-    assert unknown == "without the AS state nobody can tell whether it braked or did not start"
+    assert unknown == "without the AS state it is unknown whether the car braked or did not start"
     assert "emergency brake" in known
 
 
@@ -379,9 +379,9 @@ def test_a_wait_in_as_ready_that_is_not_over_is_no_refusal() -> None:
         ("2026", 0x523, "00002c010000", "ANGLE_MAX is 30 deg"),
         ("2021", 0x523, "0000d2000000", "ANGLE_MAX is 21 deg"),
         # States of 0 are no sign of 2021: the official simulator sends them so.
-        ("2026", 0x520, "0000020000000000", "nothing in the log tells"),
-        ("2026", 0x520, "0000030000000000", "nothing in the log tells"),
-        ("2026", 0x510, "0000000000000000", "nothing in the log tells"),
+        ("2026", 0x520, "0000020000000000", "the log does not show it"),
+        ("2026", 0x520, "0000030000000000", "the log does not show it"),
+        ("2026", 0x510, "0000000000000000", "the log does not show it"),
     ],
 )
 def test_each_sign_of_a_revision_counts_by_itself(rev: str, can_id: int, data: str, reason: str) -> None:
@@ -432,7 +432,7 @@ def test_the_cause_fills_a_screen_and_the_timeline_is_asked_for(explain: Explain
     short, whole = (explain(faulty(), *words)[1].splitlines() for words in ((), ("--timeline",)))
     assert len(short) <= 14 and "AS_STATE AS_READY → AS_DRIVING" not in "\n".join(short)
     more = f"what happened until then, {len(tell(faulty()).events)} lines, and the notes"
-    short.remove(f"(--timeline: {more})")
+    short.remove(f"(--timeline adds {more})")
     assert "AS_STATE AS_READY → AS_DRIVING" in "\n".join(whole) and set(short[2:-1]) <= set(whole)
     (absent,) = [line for line in whole if line.startswith("note: never received: ")]
     assert "UMB_PDO1 (0x184), UMB_PDO2 (0x284) of JOYSTICK" in absent, "few messages are named"
@@ -442,7 +442,7 @@ def test_what_makes_it_not_ok_is_named_beside_the_story(explain: Explain) -> Non
     _, out = explain(without(inspected(), 0x523))
     problem, remedy, verdict = out.splitlines()[-3:]
     assert problem == "problem: VCU2AI_Steer (0x523) was never received"
-    assert remedy.startswith("    what to do: look why its sender is silent")
+    assert remedy.startswith("    what to do: check the sender: its supply")
     assert verdict == "verdict: NOT OK: 1 problem (1 note)"
 
 
@@ -493,7 +493,7 @@ def test_a_part_in_emergency_brake_is_not_ok(explain: Explain) -> None:
     braked_s = (int(states.t_ns[states.values == sig.EMERGENCY][0]) - int(stopped().t_ns[0])) / S
     status, out = explain(stopped(), "--from", braked_s + 0.05)
     assert status == 1 and out.splitlines()[-1].startswith("verdict: ")
-    assert f"EMERGENCY BRAKE at {braked_s:.3f} s" in out and "it began before the log did" not in out
+    assert f"EMERGENCY BRAKE at {braked_s:.3f} s" in out and "the emergency brake began before the log" not in out
 
 
 def test_a_part_with_an_incident_is_not_ok_though_it_begins_late(explain: Explain) -> None:

@@ -269,7 +269,7 @@ def test_a_long_silence_or_a_clock_jump_makes_no_endless_table(tmp_path: Path, d
     written = export(frames, decoder, "csv", tmp_path / "wide.csv", step_ns=10_000_000)
     assert written.rows == 22
     assert written.notes == (
-        "time goes back in it, by up to 0.100 s: the rows are in order of time",
+        "time goes back in the log, by up to 0.100 s: the rows are sorted by time",
         "no rows for 1 silences of more than a minute",
     )
 

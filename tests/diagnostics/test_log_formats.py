@@ -896,7 +896,7 @@ def test_check_of_a_folder_is_a_line_for_each_log_and_a_verdict(
     for name, words in (("a.log", "candump, 24 frames\n"), ("b.blf", died), ("c.trc", "no frames in it\n")):
         assert said.out.count(f"/{name}: ") == 1 and f"/{name}: {words}" in said.out
     assert said.err == ""
-    assert "no logs, and left out: notes.md\n" in said.out
+    assert "left out, as they are not logs: notes.md\n" in said.out
     assert sum(line.startswith("verdict: ") for line in said.out.splitlines()) == 1
     main(["check", str(tmp_path), "--json"])
     assert capsys.readouterr().out.count('"type": "log"') == 3

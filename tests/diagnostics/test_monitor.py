@@ -196,8 +196,8 @@ LINK = {
     "AI2VCU_Brake (0x514) has the wrong length: it counts as missing": later(OFF, *AI[:4], (0x514, "000000")),
     "VCU2AI_Wheel_counts (0x526) has the wrong length: it counts as missing": later(OFF, *AI, (0x526, "00")),
     "the handshake's echo is missing for 72 ms (100 ms are a loss)": every_cycle(S, S + 80 * MS, TOGGLED, *AI),
-    "somebody else sends on the AI computer's ids: 0x510, ": twice(AGAIN, of_ids(AGAIN, AI_IDS), 3 * MS),
-    "somebody else sends the car's messages: 0x520: 182 frames a second": twice(AGAIN, of_ids(AGAIN, [0x520])),
+    "a second sender uses the AI computer's ids: 0x510, ": twice(AGAIN, of_ids(AGAIN, AI_IDS), 3 * MS),
+    "a second sender sends the car's messages: 0x520: 182 frames a second": twice(AGAIN, of_ids(AGAIN, [0x520])),
     "1 error frame in 3 s, the last: controller (receive error-passive)": frames_of([ERROR]),
 }
 

@@ -31,7 +31,7 @@ def silent() -> tuple[Frames, int]:
 
 @pytest.fixture(scope="module")
 def held_up(silent: tuple[Frames, int]) -> tuple[Frames, int]:
-    """The same, but the AI computer speaks again 10 ms after the car has braked."""
+    """The same, but the AI computer is received again 10 ms after the car has braked."""
     frames, silent_ns = silent
     before = cut(of_ids(frames, AI_IDS, silent_ns - 310 * MS), silent_ns)
     return twice(frames, before, 420 * MS), silent_ns
@@ -127,7 +127,7 @@ def test_on_a_virtual_bus_nobody_is_sent_to_a_plug(
 ) -> None:
     log = written(tmp_path, silent[0], interface=bus)
     out = told(capsys, "explain", str(log))
-    assert "the bus is a virtual one" in out and "plug" not in out
+    assert "the bus is virtual" in out and "plug" not in out
 
 
 @pytest.mark.parametrize(

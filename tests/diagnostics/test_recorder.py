@@ -167,7 +167,7 @@ def test_what_must_stay_free_on_the_disk_stays_free(tmp_path: Path, monkeypatch:
     rig.turn(received(10, 110))
     assert rig.recording.in_trouble
     assert len(rig.reports) == 1
-    assert rig.reports[0].endswith("free on the disk, and 1 MB stay free; trying again every second")
+    assert rig.reports[0].endswith("free on the disk, but 1 MB must stay free; trying again every second")
     disk = 2 << 20
     rig.turn([], after_ns=AGAIN_NS)
     assert rig.reports[-1] == f"writing again in {rig.path}"
@@ -375,8 +375,8 @@ def test_a_torn_segment_is_made_whole_on_resuming(tmp_path: Path) -> None:
     log.write_bytes(whole + whole[:LINE_BYTES].replace(b"523#", b"523#FF")[:30] + bytes(4096))
     again = Rig(tmp_path / "run", mcap=True)
     assert again.reports == [
-        f"{log} was cut off in its last line: 4126 bytes taken away",
-        f"{log.with_suffix('.mcap')} had no end: given one",
+        f"{log} was cut off in its last line: 4126 bytes removed",
+        f"{log.with_suffix('.mcap')} had no end; an end was added",
     ]
     assert numbers(log) == list(range(10))
 

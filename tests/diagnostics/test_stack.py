@@ -61,7 +61,7 @@ def test_a_stack_in_order_has_nothing_wrong() -> None:
     [
         (lambda: command(throttle=0.5, brake=0.1), ("throttle and brake together", "set one of them to 0")),
         (lambda: command(steering_rad=0.4), ("steering_rad is out of range", "+-0.36 rad")),
-        (lambda: command(throttle=float("nan")), ("throttle is out of range or no number", "0 to 1")),
+        (lambda: command(throttle=float("nan")), ("throttle is out of range or not a number", "0 to 1")),
         (lambda: command(brake=1.1), ("brake is out of range", "0 to 1")),
         (lambda: command(age_s=0.6), ("0.60 s old", "pass the newest data on")),
         (lambda: command(age_s=-0.5), ("0.50 s in the future", "this computer's clock")),
@@ -86,7 +86,7 @@ def test_commands_of_another_run_and_missing_resets_are_named() -> None:
     watch.receive("vehicle_cmd", command(), 1.99, round(ROS_S * 1e9))
     planner, controller, stale = wrong(watch)
     assert "the planner has not confirmed run 8" in planner and "the controller has not" in controller
-    assert "1 commands are of another run" in stale
+    assert "1 commands belong to another run" in stale
 
 
 def test_what_the_bridge_counted_meanwhile_is_told_with_detail() -> None:
@@ -141,7 +141,7 @@ def test_a_planner_that_sends_no_plan_is_named_with_its_reason() -> None:
     late = stamped(late="/detected_cones of x: nothing received for 300 ms")
     watch.receive("planner_status", late, 0.0, round(ROS_S * 1e9))
     (line,) = wrong(watch)
-    assert line.startswith("path: nobody sends a plan: planner publishes it but sends nothing, and controller waits")
+    assert line.startswith("path: no plan is sent: planner publishes it but sends nothing, and controller waits")
     assert "the planner says: /detected_cones of x: nothing received" in line
 
 

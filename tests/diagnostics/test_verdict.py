@@ -406,7 +406,7 @@ def test_two_cars_are_one_finding_and_no_cause(
         other = replace(other, word=np.where(other.can_id == 0x520, idle, np.uint64(0)))
     verdict = judged(twice(drive, other))
     (problem,) = [finding for finding in verdict.findings if finding.severity == "problem"]
-    assert problem.words.startswith("somebody else sends the car's messages: 0x520") and problem.can_ids == ids
+    assert problem.words.startswith("a second sender sends the car's messages: 0x520") and problem.can_ids == ids
     assert problem.t_ns is not None and -100 * MS <= problem.t_ns - begin_ns <= 10 * MS
     assert f"200 frames a second for {(drive.t_ns[-1] - problem.t_ns) / S:.1f} s" in problem.words
     assert not verdict.explanation.incidents and "two cars" in render.verdict(verdict.explanation)
@@ -479,8 +479,8 @@ def test_while_the_status_is_frozen_no_mismatch_is_told(spoilt_drives: dict[str,
 @pytest.mark.parametrize(
     ("can_id", "mask", "words"),
     [
-        (0x522, 0xFFFF << 32, "REAR_AXLE_TRQ_MAX falls to 0 in AS_DRIVING for 40 ms, and the state stays"),
-        (0x520, 1 << 11, "GO_SIGNAL falls to 0 in AS_DRIVING for 40 ms, and the state stays"),
+        (0x522, 0xFFFF << 32, "REAR_AXLE_TRQ_MAX falls to 0 in AS_DRIVING for 40 ms, and AS_STATE does not change"),
+        (0x520, 1 << 11, "GO_SIGNAL falls to 0 in AS_DRIVING for 40 ms, and AS_STATE does not change"),
         (0x526, 0xFFFF, "the VCU started again: FL_PULSE_COUNT"),
     ],
 )

@@ -54,7 +54,7 @@ def test_an_entry_that_belongs_to_nothing_costs_itself(before: str, behind: str,
 @pytest.mark.parametrize(
     ("behind", "words"),
     [
-        ('BO_ 1280 Again: 8 Box\n SG_ B : 0|8@1+ (1,0) [0|0] "" Box\n', "for an identifier left out: Again"),
+        ('BO_ 1280 Again: 8 Box\n SG_ B : 0|8@1+ (1,0) [0|0] "" Box\n', "has a message already: Again"),
         ('BO_ 1281 Two: 8 Box\n SG_ B : 0|8@1+ (1,0) [0|0] "" Box\n SG_ B : 8|8@1+ (1,0) [0|0] "" Box\n', "Two.B"),
         ('BO_ 1281 Long: 2 Box\n SG_ B : 12|8@1+ (1,0) [0|0] "" Box\n', "beyond their bytes: Long (B)"),
         ('BO_ 1281 Long: 2 Box\n SG_ B : 8|9@0+ (1,0) [0|0] "" Box\n', "beyond their bytes: Long (B)"),

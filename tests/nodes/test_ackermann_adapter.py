@@ -370,7 +370,7 @@ def test_parameters_change_a_preset(rig: RosRig) -> None:
         ({"command": "none"}, "without commands there is nothing"),
         ({"finish": "done"}, "finish must be topic:NAME or service:NAME, not done"),
         ({"outputs": "ros_can/state=word"}, "ros_can/state is of no known kind: word"),
-        ({"driving": "a topic"}, "'a topic' is no name of a topic or service: topic name must not contain"),
+        ({"driving": "a topic"}, "'a topic' is not a name of a topic or service: topic name must not contain"),
         ({"finish": "topic:"}, "finish must be topic:NAME"),
         ({"preset": "ours"}, "preset must be one of eufs, "),
         ({"cmd_timeout": 0.5}, "cmd_timeout"),

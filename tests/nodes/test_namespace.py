@@ -58,5 +58,5 @@ def test_the_recorder_receives_the_nodes_of_its_namespace(rig: RosRig, bus: str)
         assert "/vehicle_state" not in recorder.topics
     finally:
         recorder.stop()
-    with pytest.raises(ValueError, match="car one is no ROS namespace"):
+    with pytest.raises(ValueError, match="car one is not a ROS namespace"):
         TopicRecorder(namespace="car one")

@@ -92,7 +92,7 @@ def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
         (["emergency-brake"], "fsai-vcu emergency-brake: no bridge offers /emergency_brake (waited 0.5 s)"),
         (["reset", "--namespace", "/car2"], "fsai-vcu reset: no bridge offers /car2/reset (waited 0.5 s)"),
         (["status", "--namespace", "/car2"], "fsai-vcu status: nothing on /car2/vehicle_state for 0.5 s"),
-        (["reset", "--namespace", "car two"], "fsai-vcu reset: --namespace car two: that is no ROS namespace"),
+        (["reset", "--namespace", "car two"], "fsai-vcu reset: --namespace car two is not a ROS namespace"),
     ],
 )
 def test_without_a_bridge_every_verb_says_so_in_one_line(

@@ -59,7 +59,7 @@ def test_nodes_without_a_clock_say_so_and_accuse_nobody(rig: RosRig) -> None:
         stand.cones()
         stand.plan()
         by = {line.name for line in log if line.msg.startswith(STILL)}
-        refused = logged(log, STILL, "/vehicle_state is refused, for its stamp says nothing")
+        refused = logged(log, STILL, "/vehicle_state is refused, as its stamp is meaningless")
         statuses = {each.name for array in told for each in array.status if STILL in each.message}
         return names <= by and bool(refused) and {f"{name}: clock" for name in names} <= statuses
 

@@ -236,7 +236,7 @@ def test_it_reads_best_effort_and_says_nothing(rig: RosRig, wall: PitWall) -> No
     assert {name for name, _ in see.get_service_names_and_types_by_node("pitwall", "/")} <= {
         "/pitwall/get_type_description"
     }
-    with pytest.raises(ValueError, match="car one is no ROS namespace"):
+    with pytest.raises(ValueError, match="car one is not a ROS namespace"):
         PitWall("car one")
 
 
@@ -247,7 +247,7 @@ def test_keys_that_are_missing_are_one_line(bus: str, tmp_path: FilePath, words:
     command = [sys.executable, "-m", "fsai_vcu.cli.main", *(word.replace("BUS", bus) for word in words)]
     done = subprocess.run(command, env=os.environ | keys, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert done.stderr.startswith(f"fsai-vcu {words[0]}: DDS is to be encrypted and cannot be (")
+    assert done.stderr.startswith(f"fsai-vcu {words[0]}: DDS encryption is switched on, but does not start (")
     assert f"keys of `fsai-vcu enclaves` that this user may read, in {tmp_path}" in done.stderr
 
 

@@ -96,8 +96,12 @@ def test_an_inverted_echo_that_keeps_a_car_asleep_is_named(library: Path) -> Non
     ("fault", "item", "words"),
     [
         ("never-running", "static-b", "MISSION_STATUS never becomes RUNNING in AS_DRIVING: it stays SELECTED"),
-        ("torque-halved", "demo", r"50% of the torque is asked of an axle that has none .* halves it between two"),
-        ("front-axle", "static-b", r"FRONT_AXLE_TRQ_REQUEST is \d+ Nm, .* asked of an axle that has none to give"),
+        (
+            "torque-halved",
+            "demo",
+            r"50% of the torque is requested from an axle that cannot give any .* halved it between two",
+        ),
+        ("front-axle", "static-b", r"FRONT_AXLE_TRQ_REQUEST is \d+ Nm, .* requested from an axle that cannot give any"),
         ("one-call", "demo", r"torque and brake change in one call, \w+.*: .* up to 0.\d ms"),
     ],
 )

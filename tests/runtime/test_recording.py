@@ -137,8 +137,8 @@ def test_a_killed_recorder_loses_at_most_1_s_and_resumes(
     process.send_signal(signal.SIGTERM)
     said = process.communicate(timeout=WITHIN_S)[1]
     assert process.returncode == 0, said
-    assert f"{first_log} was cut off in its last line: 6 bytes taken away" in said
-    assert f"{first_mcap} had no end: given one" in said
+    assert f"{first_log} was cut off in its last line: 6 bytes removed" in said
+    assert f"{first_mcap} had no end; an end was added" in said
     assert numbers(first_log) == kept
     with open_log(first_log) as log:
         assert sum(1 for _ in log.frames()) == len(kept) and not log.problems

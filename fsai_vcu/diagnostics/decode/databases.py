@@ -110,15 +110,15 @@ def _not_shown(database: Database) -> str:
     for message in database.messages:
         key = (message.frame_id, message.is_extended_frame)
         if key in seen:
-            found.setdefault("second messages for an identifier left out", []).append(message.name)
+            found.setdefault("left out, as the identifier has a message already", []).append(message.name)
         seen.add(key)
         names = Counter(signal.name for signal in message.signals)
         twice = [f"{message.name}.{name}" for name, count in names.items() if count > 1]
         if twice and not message.is_multiplexed():
-            found.setdefault("of several signals with one name only one is shown", []).extend(twice)
+            found.setdefault("only one signal is shown of several with the same name", []).extend(twice)
         beyond = [signal.name for signal in message.signals if _is_beyond(signal, message.length)]
         if beyond and message.length:
-            words = "messages that cannot be decoded, for signals beyond their bytes"
+            words = "messages that cannot be decoded, as signals lie beyond their bytes"
             found.setdefault(words, []).append(f"{message.name} ({', '.join(beyond[:_NAMED])})")
     lists = ((words, [printable(name[:80]) for name in names]) for words, names in found.items())
     return "; ".join(

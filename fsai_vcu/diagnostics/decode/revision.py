@@ -18,7 +18,7 @@ _NOT_PLAIN: Final = ERROR | EXTENDED | REMOTE
 def guess_revision(frames: Frames) -> tuple[Revision, str]:
     """The revision that fits the frames best, and the observation that says so; the latest where nothing does."""
     latest = list(REVISIONS)[-1]
-    return told_revision(frames) or (REVISIONS[latest], f"nothing in the log tells: the latest, {latest}, is taken")
+    return told_revision(frames) or (REVISIONS[latest], f"the log does not show it: the latest, {latest}, is assumed")
 
 
 def told_revision(frames: Frames) -> tuple[Revision, str] | None:

@@ -36,12 +36,12 @@ def vcan(machine: Machine) -> Iterator[Finding]:
         if machine.bus.revision:
             yield _right("revision", f"{machine.bus.revision} ({machine.bus.revision_why})")
         return
-    stand_in = "loopback:NAME stands in for a bus wherever one is named, as in fsai-vcu vcu loopback:lab"
+    stand_in = "loopback:NAME can be named instead of a bus, as in fsai-vcu vcu loopback:lab"
     if machine.vcan:
         yield _right("bus", f"{machine.vcan} is up; {stand_in}")
     elif machine.kernel_has_vcan:
         make = "sudo modprobe vcan; sudo ip link add dev vcan0 type vcan; sudo ip link set vcan0 up"
-        yield Finding("note", "bus", f"no vcan0 yet; without it {stand_in}", make)
+        yield Finding("note", "bus", f"no vcan0 yet; until then {stand_in}", make)
     else:
         yield _note("bus", f"this kernel has no vcan: {stand_in}")
 
@@ -49,8 +49,8 @@ def vcan(machine: Machine) -> Iterator[Finding]:
 def domain(machine: Machine) -> Iterator[Finding]:
     here = f"domain {machine.domain_id}"
     if not machine.domain_id.isdecimal() or int(machine.domain_id) > DOMAIN_MAX:
-        words = f"ROS_DOMAIN_ID is {machine.domain_id}, and no ROS program starts with it"
-        yield _wrong("DDS", words, "unset it, or a number up to 101 that nobody else on your network has")
+        words = f"ROS_DOMAIN_ID is {machine.domain_id}, with which no ROS program starts"
+        yield _wrong("DDS", words, "unset it, or set it to a number up to 101 that nobody else on your network uses")
     elif machine.transport:
         yield Finding("note", "DDS", f"{here}; {machine.transport}", "unset that variable to stay on this machine")
     else:
@@ -64,16 +64,14 @@ def real_time(machine: Machine) -> Iterator[Finding]:
         yield _right("scheduling", f"{machine.user}'s programs may be real-time")
     else:
         limits = f"{machine.user} - rtprio 60, and {machine.user} - memlock unlimited"
-        words = f"{machine.user}'s programs may not be real-time: the CAN loop runs without, later under load"
+        words = f"{machine.user}'s programs may not be real-time: the CAN loop runs all the same, but late under load"
         todo = f"two lines in /etc/security/limits.d/fsai.conf: {limits}; then log in again"
         yield Finding("note", "scheduling", words, todo)
 
 
 def to_drive_the_car(machine: Machine) -> Iterator[Finding]:
     """Yield what this computer lacks to be the car's; with the car's software, the checks below say the rest."""
-    words = (
-        "no car software, and with it no configuration (/etc/fsai/fsai.toml), services, real-time priority, group fsai"
-    )
+    words = "no car software: no configuration (/etc/fsai/fsai.toml), no services, no real-time priority, no group fsai"
     yield Finding(
         "note", FOR_THE_CAR, words, "sudo make install in the checkout (docs/car.md), then fsai-vcu doctor again"
     )
@@ -88,7 +86,7 @@ def configuration(machine: Machine) -> Iterator[Finding]:
     wanted = machine.wanted
     if wanted is None:
         for problem in machine.configuration_problems or ("no configuration was read",):
-            yield _wrong("configuration", problem, "put it right; fsai-vcu config check says when it is")
+            yield _wrong("configuration", problem, "correct it; fsai-vcu config check says whether it is right")
         return
     if wanted.path in machine.changed_since_start:
         yield _changed("configuration", wanted)
@@ -98,7 +96,7 @@ def configuration(machine: Machine) -> Iterator[Finding]:
 
 def _changed(topic: str, wanted: Wanted) -> Finding:
     file = wanted.path if topic == "configuration" else wanted.limits_path
-    words = f"{file} was changed after the bridge had started, which drives with what stood there before"
+    words = f"{file} was changed after the start of the bridge, which still uses the old values"
     return _wrong(topic, words, "sudo systemctl restart fsai.target 'fsai-*.service', with the car at rest")
 
 
@@ -232,7 +230,7 @@ def _wheels(wanted: Wanted, seen: BusTraffic) -> Iterator[Finding]:
     turning = [index for index in range(4) if pulses[index] or speeds[index]]
     words = ", ".join(f"{_WHEELS[index]} {pulses[index]} pulses, {speeds[index]} rpm" for index in turning)
     if not turning:
-        yield _note("wheels", f"none turns ({wanted.wheel_mapping}); to check the wiring: fsai-vcu doctor --wheels")
+        yield _note("wheels", f"no wheel turns ({wanted.wheel_mapping}); to check the wiring: fsai-vcu doctor --wheels")
     elif all(pulses[index] and speeds[index] for index in turning):
         yield _right("wheels", words)
     else:
@@ -258,7 +256,7 @@ def ros(machine: Machine) -> Iterator[Finding]:
         distribution = here.distribution or "from the package index"
         yield _right("ROS 2", f"{distribution}, {here.rclpy}")
         if here.distribution and here.distribution not in DISTRIBUTIONS:
-            words = f"the distribution is {here.distribution}, with which nothing was tried"
+            words = f"the distribution is {here.distribution}, which was never tried"
             yield _note("ROS 2", f"{words}; tried are {', '.join(DISTRIBUTIONS)}")
         if here.unused:
             yield _note("ROS 2", f"{here.unused} is there too, and not used (sudo make install takes it from now on)")
@@ -292,14 +290,14 @@ def dds(machine: Machine) -> Iterator[Finding]:
     if machine.ros.implementation not in ("", None, _IMPLEMENTATION):
         yield _wrong(
             "DDS",
-            f"the bridge runs on {machine.ros.implementation}, for which none of these settings holds",
+            f"the bridge runs on {machine.ros.implementation}, to which none of these settings applies",
             f"start it without RMW_IMPLEMENTATION, or with {_IMPLEMENTATION}",
         )
     if wanted.discovery == "localhost":
         if machine.listening:
             yield _wrong(
                 "DDS",
-                f"a node listens on {', '.join(machine.listening)}, though it is to stay on this machine",
+                f"a node listens on {', '.join(machine.listening)}, but the configuration allows this machine only",
                 "start it by its service, or with --config: then it is bound to 127.0.0.1",
             )
         elif not unseen:
@@ -322,7 +320,7 @@ def services(machine: Machine) -> Iterator[Finding]:
     bridges = [name for name in machine.services if name.startswith("fsai-bridge@")]
     if machine.starts_at_boot is False and bridges:
         words = f"fsai.target is not enabled, but {_short(bridges[0])} starts whenever its adapter is there, and sends"
-        yield _wrong("services", words, f"{settle}; or, that nothing is sent: {_SETTLE} --off")
+        yield _wrong("services", words, f"{settle}; or, so that nothing is sent: {_SETTLE} --off")
     elif machine.starts_at_boot is False:
         words = "no service starts at boot: fsai.target is not enabled"
         yield _wrong("services", words, f"{settle}, when all else is right: from then on this computer sends")
@@ -347,7 +345,7 @@ def scheduling(machine: Machine) -> Iterator[Finding]:
     if machine.rt_runtime_us == 0:
         yield _wrong(
             "scheduling",
-            "this kernel gives real-time threads no time at all",
+            "this kernel does not let real-time threads run",
             "sudo sysctl kernel.sched_rt_runtime_us=950000",
         )
     here = machine.scheduling
@@ -358,16 +356,16 @@ def scheduling(machine: Machine) -> Iterator[Finding]:
         yield _wrong(
             "scheduling",
             f"the CAN loop runs as {here.policy}: late under load",
-            "start it by its service, which gives it LimitRTPRIO=; a kernel with RT_GROUP_SCHED refuses",
+            "start it by its service, which gives it LimitRTPRIO=; a kernel with RT_GROUP_SCHED refuses real time",
         )
     else:
         yield _right("scheduling", f"the CAN loop runs as {here.policy} {here.priority}")
     if here.memory_locked:
-        yield _right("memory", "the CAN loop's is locked")
+        yield _right("memory", "the CAN loop's memory is locked")
     else:
         yield _wrong(
             "memory",
-            "the CAN loop's is not locked: a page fault delays a cycle",
+            "the CAN loop's memory is not locked: a page fault delays a cycle",
             "start it by its service, which has LimitMEMLOCK=infinity",
         )
 

@@ -203,30 +203,30 @@ def _missing(record: Record, part_ns: TimeRange) -> Iterator[str]:
     if part_ns != ALWAYS:
         low_ns, high_ns = max(part_ns[0], record.begin_ns), min(part_ns[1], record.end_ns)
         low_s, high_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (low_ns, high_ns))
-        yield f"what is told is of the part from {low_s:.3f} s to {high_s:.3f} s; causes may lie before it"
+        yield f"only the part from {low_s:.3f} s to {high_s:.3f} s is explained; causes may lie before it"
     short = {can_id: record.wrong_length[can_id] for can_id in (STATUS, *AI_IDS) if record.never_right(can_id)}
     if STATUS in short:
-        yield "every 0x520 of this log has the wrong length: there is no AS state, switch or fault to tell of"
+        yield "every 0x520 of this log has the wrong length: AS state, switches and faults are not known"
     elif record.lacks(STATUS):
-        yield "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
+        yield "no 0x520 (the VCU's status) in this log: AS state, switches and faults are not known"
     for can_id, wrong in short.items():
         if can_id != STATUS:
-            yield f"every 0x{can_id:03X} of this log has {wrong.words}: what it says is not known"
+            yield f"every 0x{can_id:03X} of this log has {wrong.words}: its signals are not known"
     absent = [f"0x{can_id:03X}" for can_id in AI_IDS if record.lacks(can_id) and can_id not in short]
     if len(absent) == len(AI_IDS):
         yield "no frame of the AI computer (0x510 to 0x514): what it asked for is not known"
     elif absent:
         yield f"the AI computer never sends {', '.join(absent)}"
     if unnamed := [f"0x{can_id:03X}" for can_id in (*AI_IDS, *VCU_IDS) if can_id in record.unknown_ids]:
-        yield f"the database does not name {', '.join(unnamed)}: what they say is not known; is it the car's?"
+        yield f"the database does not name {', '.join(unnamed)}: their signals are not known; is it the car's database?"
     if record.lacks(0x525):
         yield "no 0x525: whether the wheels turned is not known"
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
-        yield f"the log begins in {first}: what led there is not in it"
+        yield f"the log begins in {first}, and does not show what led to it"
     for mixed in within(part_ns, record.second_cars):
         begin_s, end_s = ((t_ns - record.begin_ns) / 1e9 for t_ns in (mixed.begin_ns, mixed.end_ns))
-        yield f"two cars were on the bus from {begin_s:.3f} s to {end_s:.3f} s: no cause is told from that"
+        yield f"two cars were on the bus from {begin_s:.3f} s to {end_s:.3f} s: causes are not named from their frames"
     for name, count in record.other_channels.items():
         yield f"{count} frames of another bus ({name}) are left out"
     strange = {f"0x{i:03X}": n for i, n in record.unknown_ids.items() if i not in BY_ID}

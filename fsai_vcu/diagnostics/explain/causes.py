@@ -67,7 +67,7 @@ _RECORD: Final[Mapping[str, str]] = {
 
 _OWN: Final[Mapping[str, str]] = {
     "stood_still": "a processor of this computer stood still: it was too busy for real time",
-    "frames_lost_here": "this computer lost frames while it recorded: the log does not show what came",
+    "frames_lost_here": "this computer lost frames while it recorded: the log does not have every frame",
     "ai_computer_request": "the AI computer asked for it (ESTOP_REQUEST 1)",
     "hvil_open": "the high-voltage interlock is open (HVIL_OPEN_FAULT)",
     "hvil_short": "the high-voltage interlock is shorted (HVIL_SHORT_FAULT)",
@@ -82,7 +82,7 @@ _OWN: Final[Mapping[str, str]] = {
     "bms": "the battery management reports a fault (BMS_FAULT)",
     "torque_with_brake": "axle torque and brake were requested together (BRAKE_PLAUSIBILITY_FAULT)",
     "asms_off": "ASMS was turned off while the car was driving",
-    "tsms_off": "TSMS was turned off: the tractive system shuts down and the EBS goes",
+    "tsms_off": "TSMS was turned off: the tractive system shuts down, and the EBS is no longer available",
     "remote_estop": "the E-stop of the remote was pressed",
     "radio_lost": "the remote's radio was lost",
     "ts_fault": "the tractive system failed (TS_STATE TS_FAULT)",
@@ -94,7 +94,7 @@ _OWN: Final[Mapping[str, str]] = {
     "brake_request_simulator": (
         "a hydraulic brake was requested, which this VCU (like the official simulator) takes for an emergency"
     ),
-    "before_the_log": "it began before the log did",
+    "before_the_log": "the emergency brake began before the log",
     "unknown": "the log does not show why",
     "planned_end": "the mission ends with the emergency brake",
     "not_on_the_bus": (
@@ -105,11 +105,11 @@ _OWN: Final[Mapping[str, str]] = {
     "vcu_hung": "the VCU itself stood still: it sent nothing and received nothing",
     "frames_wrong": "0x520 showed a state that the car cannot have been in",
     "ai_silent": "the AI computer fell silent: none of its five messages came any more",
-    "ai_bus_off": "the AI computer's CAN adapter went bus-off (an error frame says so), and others went on",
+    "ai_bus_off": "the AI computer's CAN adapter went bus-off (an error frame says so), and other senders went on",
     "ai_message_missing": "one of the AI computer's five messages was missing",
     "ai_message_length": "a message of the AI computer had the wrong length, which the VCU takes for missing",
     "handshake_lost": "the AI computer did not echo the handshake within 100 ms",
-    "echo_wrong": "the AI computer sent back another HANDSHAKE bit than the last 0x520 had",
+    "echo_wrong": "the AI computer did not send back the HANDSHAKE bit of the last 0x520, but the other one",
     "handshake_stands": (
         "HANDSHAKE of 0x520 stood still though its echo came: the VCU has hung, or does not receive the echo"
     ),
@@ -120,14 +120,14 @@ _OWN: Final[Mapping[str, str]] = {
     "torque_limit_zero": "the car allows no torque: AXLE_TRQ_MAX of 0x521 and 0x522 is 0",
     "neutral_in_driving": "the AI computer says NEUTRAL (DIRECTION_REQUEST) while it asks for torque",
     "never-running": "the AI computer never says RUNNING: MISSION_STATUS stays as it was in AS_READY",
-    "speed_limit_zero": "the AI computer asks for torque and limits the motors' speed to nothing (MOTOR_SPEED_MAX)",
+    "speed_limit_zero": "the AI computer asks for torque and limits the motors' speed to 0 (MOTOR_SPEED_MAX)",
     "torque-brake": "the AI computer asks for torque and brake together",
-    "axle": "the torque is asked of an axle that has none to give",
+    "axle": "the torque is requested from an axle that cannot give any",
     "brake_held": "the AI computer holds the brake and asks for no torque",
     "no_torque_asked": "the AI computer steers and asks for no torque",
     "finished_not_taken": "the AI computer says FINISHED at rest, and the car does not take it",
     "stands": "the frames do not show why",
-    "not_driven": "the car stands in AS_DRIVING; nothing was asked of it",
+    "not_driven": "the car stands in AS_DRIVING, and no torque or steering was requested",
     "stop_asked": (
         "nothing on the bus explains it: manual mode was asked for, or this software's own supervision stopped the car"
     ),
@@ -138,8 +138,8 @@ _OWN: Final[Mapping[str, str]] = {
     "mission_changed": "the mission was changed on the AMI in AS_READY",
     "deselected": "MISSION_STATUS left SELECTED in AS_READY",
     "go_not_taken": "Go was pressed on the remote (0x181), and 0x520 does not show it (GO_SIGNAL 0)",
-    "start_unknown": "every condition that the bus shows was met, and yet the car did not go on",
-    "start_unclear": "what the bus shows of the conditions was met, but not all of them were seen",
+    "start_unknown": "every condition that the bus shows was met, but the car did not go on",
+    "start_unclear": "the conditions that were seen on the bus were met, but not all conditions were seen",
     "status_length": "0x520 has the wrong length: it counts as missing",
     "no_as_state": "the database has no AS_STATE in 0x520",
     "torque_not_given": "the motors do not give the torque that is asked for",

@@ -67,7 +67,8 @@ def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
     run = record.series(sig.AS_STATE).last(t_ns, *record.revision.power_cycle_after)
     if run is None or any(run.end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
         return None
-    words = f"the last run ended in {label(sig.AS_STATE, run.value)}, and 0x520 has not been away since"
+    ended = f"the last run ended in {label(sig.AS_STATE, run.value)}"
+    words = f"{ended}, and 0x520 has not stopped since: the car was not switched off"
     return sig.AS_STATE.step(run.end_ns, words)
 
 

@@ -424,7 +424,7 @@ def _impossible(span: Span) -> list[Candidate]:
     """A state that the car shows for a moment in AS_DRIVING, and from which there is no way back to it."""
     if not span.before == span.after == sig.DRIVING or span.end_ns - span.begin_ns > BACK_NS:
         return []
-    words = f"AS_DRIVING again {ms(span.end_ns - span.begin_ns)} later: there is no such way back"
+    words = f"AS_DRIVING again {ms(span.end_ns - span.begin_ns)} later: the VCU has no such transition"
     return [shown("frames_wrong", sig.AS_STATE.step(span.begin_ns, words))]
 
 

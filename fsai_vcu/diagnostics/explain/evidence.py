@@ -125,7 +125,7 @@ def _silent(record: Record, t_ns: int, gaps: list[Gap], sureness: Sureness) -> C
         many = f"{len(errors)} error frame{'s' if len(errors) > 1 else ''}"
         steps.append(ChainLink(errors[0], f"{many} on the bus: {error_text(record, errors[0])}"))
     if record.at(sig.ESTOP, first):
-        steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped on purpose"))
+        steps.append(sig.ESTOP.step(first, "its last 0x510 has ESTOP_REQUEST 1: it was stopped on purpose"))
     # An adapter that goes bus-off silences a program that runs on; the others go on.
     off_ns = next((t_error_ns for t_error_ns in errors if "bus-off" in error_text(record, t_error_ns)), None)
     if off_ns is None:
@@ -165,9 +165,7 @@ def _contradicted(record: Record, t_ns: int, sureness: Sureness) -> list[Candida
     ]
     count = sum(said != bit for bit, said in bits)
     kind = (
-        "one and the same bit"
-        if len({said for _, said in bits}) == 1
-        else "the inverse, or the bit of the 0x520 before"
+        "always the same bit" if len({said for _, said in bits}) == 1 else "the inverse, or the bit of the 0x520 before"
     )
     words = (
         f"{count} of {len(bits)} 0x510 contradict the last 0x520 before them, for {ms(t_ns - first)}: they say {kind}"

@@ -127,7 +127,7 @@ def verdict(story: Explanation) -> str:
     planned = any(incident.planned for incident in story.incidents)
     rest = ["the emergency brake that the mission ends with"] if planned else []
     if not bad and story.unknown:
-        return f"{story.unknown} nobody can tell whether it braked or did not start"
+        return f"{story.unknown} it is unknown whether the car braked or did not start"
     return ", ".join([*bad, *rest]) if bad else "; ".join(["no emergency brake, no refusal to start", *rest])
 
 

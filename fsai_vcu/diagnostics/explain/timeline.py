@@ -265,7 +265,7 @@ def _link(record: Record) -> Iterator[TimelineEntry]:
             weight = WARNING if grave else NOTE
             yield TimelineEntry(begin_ns, "link", f"{text} {longest.words()}", weight, longest.can_id)
             if longest.end_ns is not None and gone:
-                yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
+                yield TimelineEntry(longest.end_ns, "link", f"{who} is received again", STATE, longest.can_id)
     over_ns = 0
     for toggle_ns, _, waited_ns in record.answers.late(COMMS_LOST_NS):
         if toggle_ns >= over_ns:  # a car that toggles on waits on
@@ -290,5 +290,5 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
         yield TimelineEntry(wrong.first_ns, "bus", text, FAULT if grave else WARNING, can_id)
     for t_ns, by_ns in sorted(record.clock_set):
         way = "back" if by_ns < 0 else "forward"
-        text = f"the log's clock was set {way} by {ms(abs(by_ns))}: times are as if it had not been"
+        text = f"the log's clock was set {way} by {ms(abs(by_ns))}: the times here are corrected"
         yield TimelineEntry(t_ns, "bus", text, WARNING)

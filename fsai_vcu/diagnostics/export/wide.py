@@ -23,7 +23,7 @@ def raster_ns(text: str) -> int:
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(us|ms|s)", text.strip())
     step_ns = round(float(found[1]) * _UNITS_NS[found[2]]) if found else 0
     if step_ns < 1000:
-        raise ValueError(f"no raster: '{text}'; a raster is a time like 10ms, 0.5s or 100us")
+        raise ValueError(f"'{text}' is not a raster: a raster is a time like 10ms, 0.5s or 100us")
     return step_ns
 
 
@@ -37,7 +37,7 @@ class WideTable:
         backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))
         if backwards_ns:
             self.notes.append(
-                f"time goes back in it, by up to {backwards_ns / 1e9:.3f} s: the rows are in order of time"
+                f"time goes back in the log, by up to {backwards_ns / 1e9:.3f} s: the rows are sorted by time"
             )
             frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
         self._t_ns = frames.t_ns

@@ -24,18 +24,18 @@ from fsai_vcu.interface.units import S
 
 PAGES: Final = ("overview", "messages", "signals", "events")
 HELP: Final = """\
-q, Ctrl-C   end; the last picture stays to be read
-p, space    hold the picture, or go on; a log plays, or stands still
+q, Ctrl-C   end; the last picture stays in the terminal
+p, space    pause or continue; in a log: stop or play
 Tab, 1…4    overview, messages, signals, events
-Enter       messages: this one's bytes and signals, and what changed
-            events: a log goes to that moment
+Enter       messages: the selected one's bytes, signals and changes
+            events: go to that moment of a log
 /           signals by name, with * and ?; several with commas
 Esc         back
 
 In a log:
 ← →         one second; , and . ten seconds
 n, N        the next, the previous change of the AS state
-g           a second to go to
+g           go to a second
 
 What changed within the last second is highlighted. The AS state
 has the colour of the car's lights; its lamp flashes as they do.

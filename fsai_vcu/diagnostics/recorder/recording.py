@@ -141,12 +141,13 @@ class Recording:
         log = place.file(".log")
         with self._left_as_it_is(log):
             if cut := repair_text(log):
-                self._report(f"{log} was cut off in its last line: {cut} bytes taken away")
+                self._report(f"{log} was cut off in its last line: {cut} bytes removed")
         # A disk that was full can have left any of them without an end.
         for mcap in place.all_files(".mcap") if self._decoder is not None else ():
             with self._left_as_it_is(mcap):
                 if (repaired := repair_mcap(mcap)) is not None:
-                    self._report(f"{mcap} had no end: given one{f', {repaired} bytes taken away' if repaired else ''}")
+                    removed = f", {repaired} bytes removed" if repaired else ""
+                    self._report(f"{mcap} had no end; an end was added{removed}")
 
     @contextmanager
     def _left_as_it_is(self, path: Path) -> Iterator[None]:
@@ -230,7 +231,7 @@ class Recording:
                 continue
             if segment is None:
                 if self._place.single and self._place.path.exists():
-                    raise FileExistsError(errno.EEXIST, "it was begun and cannot be gone on with")
+                    raise FileExistsError(errno.EEXIST, "this recording ended and cannot be continued")
                 segment = self._segment = self._begin(now_ns)
             self._put(segment)
             self._push(segment)

@@ -117,7 +117,7 @@ class SegmentFolder:
         free = shutil.disk_usage(folder).free
         if self.bounds.keep_free_bytes and free < wanted:
             raise OSError(
-                f"only {free >> 20} MB free on the disk, and {self.bounds.keep_free_bytes >> 20} MB stay free"
+                f"only {free >> 20} MB free on the disk, but {self.bounds.keep_free_bytes >> 20} MB must stay free"
             )
         if most is not None and total > most and len(segments) > 1:
             raise OSError(f"more than {most >> 20} MB in one segment")

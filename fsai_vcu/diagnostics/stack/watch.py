@@ -188,7 +188,9 @@ class StackWatch:
         for topic, expected in TOPICS.items():
             heard = self.heard[topic]
             if expected.sender and not heard.count:
-                to_do = f"it comes from {expected.sender}: is it running, on this ROS_DOMAIN_ID and in this namespace?"
+                to_do = (
+                    f"{expected.sender} sends it: is that node running, on this ROS_DOMAIN_ID and in this namespace?"
+                )
                 yield _wrong(topic, "nothing was received", to_do)
             if expected.least_hz:
                 yield from _of_times(topic, heard, expected.least_hz)
@@ -214,7 +216,7 @@ class StackWatch:
                 yield _wrong("vehicle_cmd", wrong, "docs/supervision.md says what follows from it")
         if self.stopping:
             yield Finding(
-                "problem", "vehicle_state", f"the car was stopped: {self.stopping}", "the first lines here may say why"
+                "problem", "vehicle_state", f"the car was stopped: {self.stopping}", "the lines above may say why"
             )
 
     def _of_plans(self) -> Iterator[Finding]:
@@ -224,16 +226,16 @@ class StackWatch:
             ends = self.ends.get(topic, Ends())
             if ends.publishers and ends.readers and not self.heard[topic].count:
                 who, waits = (" and ".join(sorted(set(each))) for each in (ends.publishers, ends.readers))
-                words = "nobody sends a plan" if topic == "path" else "nothing was received"
+                words = "no plan is sent" if topic == "path" else "nothing was received"
                 wrong = f"{words}: {who} publishes it but sends nothing, and {waits} waits for it"
                 yield Finding(
                     "problem",
                     topic,
                     wrong + (why if topic == "path" else ""),
-                    "the log of that node says what it misses",
+                    "the log of that node says what it lacks",
                 )
         if self.drives and self.heard["path"].count and not self.points:
-            wrong = f"nobody sends a plan: none of {self.heard['path'].count} paths has a point{why}"
+            wrong = f"no plan is sent: none of {self.heard['path'].count} paths has a point{why}"
             yield _wrong("path", wrong, "look at the cones that come: fsai-vcu pitwall CHANNEL --ros")
 
     def _of_clocks(self) -> Iterator[Finding]:
@@ -286,7 +288,7 @@ def _of_times(topic: str, heard: Heard, least_hz: float) -> Iterator[Finding]:
     if heard.oldest_s > AGE_MAX_S:
         wrong = f"stamps are up to {heard.oldest_s:.2f} s old; after {AGE_MAX_S:g} s data are stale"
         yield Finding(
-            "problem", topic, wrong, "pass the newest data on at once; on two computers: are their clocks alike?"
+            "problem", topic, wrong, "pass the newest data on at once; on two computers: are their clocks synchronised?"
         )
     if heard.youngest_s < -AHEAD_MAX_S:
         wrong = f"stamps are up to {-heard.youngest_s:.2f} s in the future: such messages are refused"
@@ -298,7 +300,7 @@ def _of_commands(problem: str, count: int, steer_max_rad: float) -> tuple[str, s
     if problem == "both":
         return f"{count} commands ask for throttle and brake together: the brake wins", "set one of them to 0"
     if problem == "run_id":
-        return f"{count} commands are of another run, and count as none", "copy run_id from the newest /run_state"
+        return f"{count} commands belong to another run, and are ignored", "copy run_id from the newest /run_state"
     limits = f"+-{steer_max_rad:.2f} rad" if problem == "steering_rad" else "0 or more"
     limits = "0 to 1" if problem in ("throttle", "brake") else limits
-    return f"in {count} commands {problem} is out of range or no number", f"keep it within {limits}"
+    return f"in {count} commands {problem} is out of range or not a number", f"keep it within {limits}"

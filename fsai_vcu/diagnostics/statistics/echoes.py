@@ -29,11 +29,13 @@ class EchoFault(Enum):
     INVERTED = "the inverse of the HANDSHAKE bit"
     LATE = "the HANDSHAKE bit one 0x520 late"
     INVERTED_OR_LATE = (
-        "the inverse of the HANDSHAKE bit, or the bit of the 0x520 before (the VCU's changed with each frame, so this"
-        " shows the same)"
+        "the inverse of the HANDSHAKE bit, or the bit of the 0x520 before (the VCU's bit changed with each frame, so"
+        " both look the same)"
     )
-    STUCK = "one and the same HANDSHAKE bit, whatever is asked"
-    INVERTED_OR_STUCK = "the inverse of the HANDSHAKE bit, or always the same (the VCU waited, so this shows the same)"
+    STUCK = "always the same HANDSHAKE bit, whatever 0x520 has"
+    INVERTED_OR_STUCK = (
+        "the inverse of the HANDSHAKE bit, or always the same bit (the VCU waited, so both look the same)"
+    )
 
 
 class Echoes(NamedTuple):

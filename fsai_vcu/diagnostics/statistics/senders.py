@@ -62,8 +62,8 @@ class SecondSender:
 
     @property
     def sentence(self) -> str:
-        whose = "the car's messages" if self.can_ids[0] in VCU_IDS else "on the AI computer's ids"
-        return f"somebody else sends {whose}: {self.words}"
+        does = "sends the car's messages" if self.can_ids[0] in VCU_IDS else "uses the AI computer's ids"
+        return f"a second sender {does}: {self.words}"
 
 
 def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
@@ -80,7 +80,7 @@ def second_cars(times: Mapping[int, Ints]) -> list[SecondSender]:
         for part in _together(t_ns, np.flatnonzero(many)):
             proof = f"{_rate(t_ns, part):.0f} frames a second"
             found.append(SecondSender((can_id,), int(t_ns[part[0]]), int(t_ns[part[-1]]), proof))
-    sends = f"and one car sends {S // PERIOD_NS}"
+    sends = f"but one car sends {S // PERIOD_NS}"
     return [
         replace(one, proof=f"{one.proof} for {(one.end_ns - one.begin_ns) / S:.1f} s, {sends}")
         for one in _joined(found)
@@ -129,7 +129,7 @@ def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[Se
             many &= _around(t_ns) >= (1.0 + SLOW_EXCESS) / 2 * LONG_NS / period_ns
     if not many.any():
         return []
-    proof = f"{_rate(t_ns, many):.0f} frames a second, and one sender sends {S // PERIOD_NS}"
+    proof = f"{_rate(t_ns, many):.0f} frames a second, but one sender sends {S // PERIOD_NS}"
     # The windows begin before it does: with it there are frames closer to the next one than one sender's.
     close = np.append(np.diff(t_ns) < CLOSE * PERIOD_NS, False)
     return [_begun(one, t_ns[close]) for one in _stretches(frames, rows, many, proof)]

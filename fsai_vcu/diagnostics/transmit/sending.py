@@ -89,7 +89,7 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
     matching = [each for each in layouts if each.can_id == number or each.name.casefold() == name.casefold()]
     if raw:
         named = (f"{each.name} {' '.join(f'{signal.name}=…' for signal in each.signals)}".strip() for each in matching)
-        raise WrongUse(f"'{words}' is a raw frame, for cansend; here: {next(named, _FORM)}")
+        raise WrongUse(f"'{words}' is a raw frame, for cansend; send takes: {next(named, _FORM)}")
     if not matching and number is not None:
         raise UserError(f"no message has the identifier {words}; {_FORM}")
     if not matching:
@@ -108,7 +108,7 @@ def check_permission(layout: MessageLayout, *, as_ai: bool) -> None:
     own = None if layout.extended else BY_ID.get(layout.can_id)
     if layout.can_id in (*AI_IDS, OPTIONAL_AI_ID):
         if not as_ai:
-            raise UserError(f"{name} is the AI computer's own, the bridge's to send; --as-ai sends it all the same")
+            raise UserError(f"only the AI computer's bridge may send {name}; --as-ai sends it all the same")
         return
     if own is not None:
         remedy = "; fsai-vcu vcu simulates a whole VCU" if own.owner == _VCU else ""

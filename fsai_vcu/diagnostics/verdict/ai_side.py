@@ -89,9 +89,9 @@ def _wrong_axle(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
             continue
         first, lost = int(np.flatnonzero(rows)[0]), float(asked.values[rows].sum())
         share = lost / (lost + float(record.series(others_asked).sampled(times)[rows].sum()))
-        half = ", as of a stack that halves it between two axles" if 0.4 < share < 0.6 else ""
+        half = ", as if the stack halved it between two axles" if 0.4 < share < 0.6 else ""
         text = (
-            f"{share:.0%} of the torque is asked of an axle that has none to give ({asked_of.name}"
+            f"{share:.0%} of the torque is requested from an axle that cannot give any ({asked_of.name}"
             f" {asked.values[first]:.1f} Nm, {most_of.name} 0){half}"
         )
         yield _problem(record, "axle", text, int(times[first]), can_id)
@@ -132,8 +132,8 @@ def _torque_with_brake(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
         often = "once" if len(rows) == 1 else f"{len(rows)} times"
         if kind == "one-call":
             text = (
-                f"torque and brake change in one call, {often}: the VCU receives 0x511 and 0x512 before 0x514, and both"
-                f" are there for up to {lasted_ns[rows].max() / MS:.1f} ms; whether it judges by the frame is"
+                f"torque and brake change in one call, {often}: the VCU receives 0x511 and 0x512 before 0x514, and has"
+                f" both for up to {lasted_ns[rows].max() / MS:.1f} ms; whether it judges each frame is"
                 " published nowhere"
             )
         else:

@@ -51,7 +51,7 @@ def in_passing(record: Record, part_ns: TimeRange) -> Iterator[Finding]:
         for span in falls[:1]:
             least = series.between(span.begin_ns, max(span.begin_ns, span.end_ns - 1)).values.min()
             length = ms(span.end_ns - span.begin_ns)
-            words = f"{signal.name} falls to {least:g} in AS_DRIVING for {length}, and the state stays"
+            words = f"{signal.name} falls to {least:g} in AS_DRIVING for {length}, and AS_STATE does not change"
             found.append((span.begin_ns, kind, words, len(falls)))
     for warning in WARNINGS:
         spans = record.series(warning).spans
@@ -104,6 +104,6 @@ def frozen(record: Record, part_ns: TimeRange, explanation: Explanation) -> Iter
 def perhaps_frozen(record: Record, part_ns: TimeRange) -> Iterator[str]:
     for span in islice(within(part_ns, record.perhaps_frozen), 1):
         yield (
-            f"{frozen_words(record, span)}, with the ASMS off: the VCU froze, or does not ask while the car is driven "
-            "by hand; a log with the ASMS on would tell"
+            f"{frozen_words(record, span)}, with the ASMS off: the VCU froze, or does not toggle HANDSHAKE "
+            "while the car is driven by hand; a log with the ASMS on would show which"
         )

@@ -276,17 +276,17 @@ def _unknown(record: Record, left_out: frozenset[int]) -> Iterator[str]:
     """Say why this log cannot be called well even if nothing in it is wrong."""
     of_car = STATUS not in left_out  # else nobody asks for the car's state
     if of_car and STATUS in record.unknown_ids:
-        yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
+        yield "the database does not name 0x520, so the car's state is not known: use the car's, or --revision"
     elif of_car and STATUS in record.wrong_length and not record.has(STATUS):
         yield "every 0x520 has the wrong length, so the car's state is not known"
     elif of_car and not record.has(STATUS):
         yield "no 0x520 was received, so the car's state is not known: is this the car's bus, and was the car on?"
     elif of_car and not len(record.series(AS_STATE)):
-        yield "the database has no AS_STATE in 0x520, so the car's state is not known: it is not the car's"
+        yield "the database has no AS_STATE in 0x520, so the car's state is not known: this is not the car's database"
     elif record.end_ns - record.begin_ns < SHORT_NS:
         yield "less than a second was recorded"
     elif not record.ai_speaks and record.unknown_ids.keys() & set(AI_IDS):
-        yield "the database does not name the AI computer's messages (0x510 to 0x514): use the car's own, or --revision"
+        yield "this database does not name 0x510 to 0x514 (the AI computer's): use the car's database, or --revision"
     elif not record.ai_speaks and not left_out.issuperset(AI_IDS):
         yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
     seen = told_revision(record.frames)

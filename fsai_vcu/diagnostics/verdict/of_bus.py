@@ -237,7 +237,7 @@ class _Judge:
             text = f"{name}: {message.remote} remote frames"
             yield self._finding(True, "remote-frames", text, can_id, message.remote_at_s, "remote_frames")
         if not message.extended and message.sent and can_id in RESERVED_IDS:
-            text = f"{name}: sent {message.sent} times by this computer, which must not"
+            text = f"{name}: sent {message.sent} times by this computer, which must never send it"
             yield self._finding(True, "reserved", text, can_id, message.sent_at_s)
         expected_ms, p50_ms = message.expected_ms, message.interval_ms.p50_ms
         if expected_ms is None or p50_ms is None or message.longest_gap_ms is None:
@@ -357,7 +357,7 @@ class _Judge:
         begin_ns, length_ns = pause[0].begin_ns, pause[0].length_ns
         if len(pause) >= MANY:
             begin_ns, length_ns = _shared(pause)
-            text = f"a pause of {length_ns / MS:.0f} ms of {_whose(ids, messages)}"
+            text = f"a pause of {length_ns / MS:.0f} ms in {_whose(ids, messages)}"
             if any(abs(end_ns - begin_ns - length_ns) <= DEAD_NS for end_ns in self.known.perhaps_set_ns):
                 text += ", or the log's clock was set forward"
         silent_ns = ((begin_ns, begin_ns + length_ns),)
@@ -400,10 +400,9 @@ def periods_kept(bus: BusStatistics) -> str:
             return ""
         if _off(message, expected_ms, p50_ms) > _PERIOD_TOLERANCE:
             return ""
-    whose = (
-        "the 1 message that has a period comes" if len(timed) == 1 else f"all {len(timed)} messages with a period come"
-    )
-    return f"{whose} in it, without gaps" if timed else ""
+    if len(timed) == 1:
+        return "the 1 periodic message comes in its period, without gaps"
+    return f"all {len(timed)} periodic messages come in their periods, without gaps" if timed else ""
 
 
 def _in_its_period(message: MessageStatistics) -> bool:

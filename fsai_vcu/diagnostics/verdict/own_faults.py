@@ -68,7 +68,7 @@ class ClockStep(NamedTuple):
     def finding(self, channel: str) -> Finding:
         words = (
             f"the log's clock was set forward by {self.by_ns / S:.3f} s: periods, HANDSHAKE and counters go on without"
-            " a break, and times are as if it had not been"
+            " a break, and the times here are corrected"
         )
         return Finding("note", "clock", words, t_ns=self.t_ns, channel=channel)
 
@@ -280,7 +280,7 @@ def impossible(buses: Sequence[BusStatistics]) -> str:
         if bus.load > _IMPOSSIBLE_LOAD and bus.frames >= _ENOUGH_OF_LOAD:
             return (
                 f"the times cannot be true: {bus.frames} frames in {bus.duration_s:.3f} s are a load of {bus.load:.0%}"
-                f" of {bus.bitrate // 1000} kbit/s; nothing is said of periods, pauses and senders"
+                f" of {bus.bitrate // 1000} kbit/s; periods, pauses and senders are not judged"
             )
     return ""
 

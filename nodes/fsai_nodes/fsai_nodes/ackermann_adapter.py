@@ -67,7 +67,7 @@ INTERFACE = (
     NodeParameter(
         "outputs",
         "",
-        f"What the stack is told and may ask: NAME=KIND separated by commas, of {', '.join((*OUTPUTS, *ANSWERS))}. "
+        f"What the stack receives and may call: NAME=KIND separated by commas, of {', '.join((*OUTPUTS, *ANSWERS))}. "
         f"{_AS_PRESET}",
     ),
 )
@@ -79,8 +79,8 @@ SETTINGS = (
     NodeParameter(
         "cmd_timeout",
         0.2,
-        "For so long is a command repeated, in s; without another one the bridge then takes torque away 0.1 s and "
-        "brakes 0.3 s later: together the 0.5 s of ros_can and hydrakon_can.",
+        "How long a command is repeated, in s. If no other command comes, the bridge takes torque away 0.1 s later "
+        "and brakes 0.3 s later: together the 0.5 s of ros_can and hydrakon_can.",
         low=0.05,
         high=MOST_REPEATED_S,
     ),
@@ -111,7 +111,7 @@ def interface_of(settings: Settings) -> Preset:
             validate_topic_name(name)
         except NameValidationException as error:
             why = str(error).partition(": ")[2].partition(":\n")[0]
-            raise NodeError(f"'{name}' is no name of a topic or service: {why}") from error
+            raise NodeError(f"'{name}' is not a name of a topic or service: {why}") from error
     return interface
 
 

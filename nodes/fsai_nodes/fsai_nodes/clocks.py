@@ -77,7 +77,7 @@ class Clocks:
         """The sentence by which `topic` (whole) is refused where this node's own clock is wrong; empty where not."""
         words = self.wrong(now_ns)
         if words:
-            words += f"; {topic} is refused, for its stamp says nothing"
+            words += f"; {topic} is refused, as its stamp is meaningless"
             complaints_of(self._node).say("clock", words, "error")
         return words
 

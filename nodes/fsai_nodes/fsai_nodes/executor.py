@@ -153,7 +153,7 @@ class NodeExecutor(TakingExecutor):
 
     def _say_unheard(self, service: Service) -> None:
         what = _name(service)
-        words = f"{what}: an answer waited for its client; has that one ended, or another QoS than services?"
+        words = f"{what}: an answer waited for its client; has the client ended, or is its QoS not that of services?"
         for each in list(self.get_nodes())[:1]:
             complaints_of(each).say(f"{what}, answers", words)
 

@@ -65,7 +65,7 @@ class Argument:
 
 _FLAG = ("true", "false")
 _OTHERS = (
-    Argument("params_file", "", "Parameter file; arguments go before what it says. Empty: the package's fsai.yaml."),
+    Argument("params_file", "", "Parameter file; arguments override it. Empty: the package's fsai.yaml."),
     Argument("simulated", "true", "Start the sensor simulator.", _FLAG),
     Argument("simulated_car", "false", "Start the simulated VCU and car: it drives a mission, and all ends.", _FLAG),
     Argument(
@@ -264,7 +264,7 @@ def main() -> int:
     try:
         started = programs(given)
         if unknown:
-            raise ValueError(f"'{unknown[0]}' is no argument like mission:=autocross; --show-args lists them")
+            raise ValueError(f"'{unknown[0]}' is not an argument like mission:=autocross; --show-args lists them")
         if given.get("rviz") == "true":
             raise ValueError("rviz:=true is for ros2 launch, which opens RViz; markers:=true sends what it shows")
     except ValueError as error:

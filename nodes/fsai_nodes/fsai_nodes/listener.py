@@ -42,7 +42,7 @@ class Listener:
             )
         except InvalidNamespaceException as error:
             self._context.try_shutdown()
-            raise ValueError(f"{namespace} is no ROS namespace; one is like /car1") from error
+            raise ValueError(f"{namespace} is not a ROS namespace; an example is /car1") from error
         self._executor = NodeExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.heard_ns = time.monotonic_ns()

@@ -52,7 +52,7 @@ def on_mismatch(say: Callable[[str], None]) -> dict[str, Any]:
         from rclpy.qos_event import SubscriptionEventCallbacks
 
     def mismatch(event: Any) -> None:
-        say(f"a publisher is not heard, for it offers too little (QoS: {policy_name(event.last_policy_kind)})")
+        say(f"a publisher is not received, as it offers too little (QoS: {policy_name(event.last_policy_kind)})")
 
     return {"event_callbacks": SubscriptionEventCallbacks(incompatible_qos=mismatch)}
 

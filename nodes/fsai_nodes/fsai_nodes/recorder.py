@@ -105,7 +105,7 @@ class TopicRecorder(Listener):
 def class_of(type_name: str) -> type[Any]:
     """The Python class of 'package/msg/Type'. Raises LookupError with words for people."""
     if _TYPE.fullmatch(type_name) is None:  # a program of plain DDS may name it as it likes
-        raise LookupError(f"its type {shown(type_name)} is none of ROS")
+        raise LookupError(f"its type {shown(type_name)} is not a ROS type")
     package, _, name = type_name.split("/")
     try:
         found: type[Any] = getattr(import_module(f"{package}.msg"), name)

@@ -338,7 +338,7 @@ class VcuBridge(LifecycleNode):
         if self._owner.takes(message.run_id, came.gid, now_ns, came.senders.present):
             return True
         owner = came.senders.name(self._owner.gid) or "another publisher"
-        why = f"run {message.run_id} belongs to {owner}, which confirmed its reset or spoke first"
+        why = f"run {message.run_id} belongs to {owner}, which confirmed its reset or commanded first"
         self._door.refuse(came.topic, came.sender, why)
         return False
 
