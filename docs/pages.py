@@ -444,7 +444,7 @@ def shown() -> str:
             " and ".join(f"{logs} logs with {what}" for what, logs, _, _ in told) + ", explained",
             "make explanations",
             f"[rightly: {' and '.join(right for _, _, right, _ in told)}]({{evidence}}explanations.md);"
-            f" called OK that are not: {sum(int(green) for *_, green in told)}",
+            f" wrongly called OK: {sum(int(green) for *_, green in told)}",
         ),
     )
     return _table(("what was done", "command", "result"), ((done, f"`{how}`", said) for done, how, said in rows))

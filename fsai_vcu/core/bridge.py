@@ -234,7 +234,7 @@ class Bridge:
             self.tally.note(Reason.COMMAND_REFUSED, "; ".join(problems))
             return problems
         if command.run_id != state.supervisor.run_id:
-            problem = f"run_id {command.run_id} is not the run in hand ({state.supervisor.run_id})"
+            problem = f"run_id {command.run_id} is not the present run ({state.supervisor.run_id})"
             if state.decision.may_move:  # before that a command of the last run is merely late
                 self.tally.note(Reason.COMMAND_OTHER_RUN, problem)
             return (problem,)

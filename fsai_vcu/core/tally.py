@@ -80,7 +80,7 @@ class Tally:
         self.other_revision_frames += 1
         self.other_revision_ns = t_ns
         if self.other_revision_frames == _OTHER_REVISION_FROM:
-            self.other_revision = f"the car speaks interface revision {received} ({means}), this bridge {ours}"
+            self.other_revision = f"the car uses interface revision {received} ({means}), this bridge {ours}"
             self.problem(self.other_revision)
             self.note(Reason.OTHER_REVISION, self.other_revision)
 
@@ -95,7 +95,9 @@ class Tally:
     def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
         """Name what should not be on the bus, in words."""
         # Named for as long as the car has to stand in AS_READY: the sender of a rare frame is seen before Go.
-        found = [(t_ns, f"an intruder sends on our ids: {words}") for t_ns, words in self.intruders.values()]
+        found = [
+            (t_ns, f"a second sender uses the AI computer's ids: {words}") for t_ns, words in self.intruders.values()
+        ]
         if self.other_revision_frames >= _OTHER_REVISION_FROM:
             found.append((self.other_revision_ns, self.other_revision))
         return tuple(words for t_ns, words in found if now_ns - t_ns < READY_WAIT_NS)

@@ -132,7 +132,7 @@ class Codec:
             return _NOTHING
         if frame.remote or frame.extended:
             kind = "remote" if frame.remote else "extended"
-            return Decoded(None, (f"{kind} frame 0x{frame.can_id:03X}: the car's bus has none",))
+            return Decoded(None, (f"{kind} frame 0x{frame.can_id:03X}: the car's bus has no such frame",))
         layout = self._by_id.get(frame.can_id)
         if layout is None:
             return _NOTHING

@@ -273,7 +273,7 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
         raise BusError(f"'{spec}' names no bus: {spec or 'vcan'}NAME is meant")
     if kind in _ECHOES_OWN and may_send is not None:
         raise BusError(
-            f"'{kind}' brings a sender its own frames back, which nobody can tell from an intruder's; "
+            f"'{kind}' returns a sender's own frames, which cannot be told from a second sender's; "
             "a stand-in for a rehearsal on one machine is loopback:NAME"
         )
     filters: list[can.typechecking.CanFilter] | None = None

@@ -134,22 +134,29 @@ def _of_the_bridge(table: str, name: str, meaning: str, choices: tuple[str, ...]
     return Key(table, name, getattr(_CONFIG, name), meaning, "vcu_bridge", choices=choices)
 
 
-_NEVER_SEND = "never send: sending anything energises the tractive system and arms the EBS"
+_NEVER_SEND = "never send: any frame sent energises the tractive system and arms the EBS"
 _AT_POWER_UP = "enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF"
 _CARS = (SAME_AS_REVISION, *CARS)
 _LIMITS = "operational limits, imposed by an official; empty: none but the car's own"
 _CONFIDENCE = "raw cones with a lower confidence are dropped"
 _BRAKES = "how the car is held and stopped; motor is for the official simulator"
 _KEYSTORE = "SROS2 keystore that fsai-vcu enclaves has made; empty: no encryption, no permissions"
-_DISCOVERY_WORDS = "who may find the nodes: this machine only, or its networks as well (then with a keystore)"
+_DISCOVERY_WORDS = "who may find the nodes: this machine only, or also its networks (needs a keystore)"
 
 KEYS: tuple[Key, ...] = (
     Key("can", "interface", "can0", "the bus of the car; a service has its own, fsai-bridge@can0", shape=_BUS),
     Key("can", "revision", "2026", "revision of the car's CAN interface", "vcu_bridge", choices=tuple(REVISIONS)),
-    Key("can", "dbc_files", (), "DBC files to use instead of the revision's own; none: its own", shape=_PATH),
+    Key(
+        "can", "dbc_files", (), "DBC files to use instead of the revision's own; empty: the revision's own", shape=_PATH
+    ),
     _of_the_bridge("can", "listen_only", _NEVER_SEND),
     Key("car", "parameters", SAME_AS_REVISION, "whose masses, lengths and actuators", choices=_CARS),
-    Key("car", "wheel_mapping", WheelMapping(), "where each wheel's sensor is found; fsai-vcu doctor --wheels tells"),
+    Key(
+        "car",
+        "wheel_mapping",
+        WheelMapping(),
+        "the input of each wheel's sensor; find it with fsai-vcu doctor --wheels",
+    ),
     _of_the_bridge("car", "autonomous_at_power_up", _AT_POWER_UP),
     _of_the_bridge("car", "service_brake", _BRAKES, ("hydraulic", "motor")),
     *_of(
@@ -187,7 +194,7 @@ KEYS: tuple[Key, ...] = (
     Key("ros", "discovery", "localhost", _DISCOVERY_WORDS, choices=("localhost", "subnet")),
     Key("ros", "keystore", "", _KEYSTORE, shape=_PATH_OR_EMPTY),
     Key("recording", "folder", "/var/log/fsai", "where bus logs are kept", shape=_PATH),
-    Key("recording", "keep_mib", 20_000, "the logs together; the oldest go first", low=100, high=10_000_000),
+    Key("recording", "keep_mib", 20_000, "space for all logs; the oldest are deleted first", low=100, high=10_000_000),
     Key("recording", "leave_free_mib", 2_000, "room that recording leaves to others on that disk", low=0, high=10**7),
 )
 _BY_PLACE = {(key.table, key.name): key for key in KEYS}

@@ -251,7 +251,7 @@ class LinkEnd:
         try:
             messages.append(_decode(datagram))
         except Exception as error:  # whatever was put on the link
-            words = f"{len(datagram)} bytes are no message: {error}"
+            words = f"{len(datagram)} bytes are not a message: {error}"
             self._note("undecoded", shortened(words, DETAIL_LENGTH))
 
     def _note(self, what: str, words: str | None = None) -> None:

@@ -77,7 +77,7 @@ class InterfaceLock:
                     f"another bridge{who} already drives '{spec}'; stop it first (one bridge per interface)"
                 ) from error
             logger.warning(
-                "the lock of '%s' is held by %s, which may be no bridge: going on without the lock",
+                "the lock of '%s' is held by %s, which may not be a bridge: going on without the lock",
                 spec,
                 holder or "a process that does not answer",
             )

@@ -208,7 +208,7 @@ class LoopHandle:
     def loop_report(self) -> LoopReport:
         """The newest report as it came, with what the loop knows of itself."""
         self._take()
-        assert self._newest is not None, "asked for before the loop was active"
+        assert self._newest is not None, "requested before the loop was active"
         return self._newest
 
     def link_trouble(self) -> dict[str, object]:

@@ -157,7 +157,7 @@ class Turns:
                 case Ask():
                     actions.append(message)
                 case _:
-                    actions.append(Note(logging.ERROR, f"{type(message).__name__} is no message to the CAN loop"))
+                    actions.append(Note(logging.ERROR, f"{type(message).__name__} is not a message for the CAN loop"))
         if command is not None:
             self._bridge.on_command(command, now_ns)
         return actions

@@ -22,7 +22,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
 BUS = f"loopback:lost-{os.getpid()}"
-WORDS = "7 frames lost in this machine's receive buffer: no fault of the bus or the car"
+WORDS = "7 frames lost in this machine's receive buffer: not a fault of the bus or the car"
 
 
 @pytest.mark.parametrize("verb", ["dump", "check", "explain", "monitor", "record"])

@@ -424,7 +424,7 @@ def test_the_first_frame_of_an_intruder_is_an_emergency(can_id: int) -> None:
 
 
 def test_an_intruder_outside_as_driving_prevents_a_drive_for_5_s() -> None:
-    rig, words = Rig().ready(), "an intruder sends on our ids: 0x512 [00 00 00 00]"
+    rig, words = Rig().ready(), "a second sender uses the AI computer's ids: 0x512 [00 00 00 00]"
     at_ns = rig.now_ns
     rig.receive(Frame(0x512, bytes(4), at_ns))
     assert rig.report.emergency is None and rig.report.reason_details == {"intruder": "0x512 [00 00 00 00]"}
@@ -455,7 +455,7 @@ def plain_status(as_state: AsState, t_ns: int) -> Frame:
 
 @pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
 def test_another_revision_is_named_from_its_tenth_frame_on(ours: str, theirs: str) -> None:
-    bridge, words = bridge_of(ours), f"the car speaks interface revision {theirs}"
+    bridge, words = bridge_of(ours), f"the car uses interface revision {theirs}"
 
     def said(t_ns: int) -> bool:
         return any(each.startswith(words) for each in bridge.report(t_ns).why_not_driving)
@@ -485,7 +485,7 @@ def test_another_revision_that_begins_in_mid_run_is_logged() -> None:
     rig.alive = lambda rig: rig.bridge.on_frame(telling_of("2021", rig.now_ns))
     rig.run_ms(1100)
     assert rig.sent.torque_requested and rig.report.reason_counts == {"other_revision": 1}
-    assert rig.report.reason_details["other_revision"].startswith("the car speaks interface revision 2021")
+    assert rig.report.reason_details["other_revision"].startswith("the car uses interface revision 2021")
 
 
 @pytest.mark.parametrize("ours", ["2021", "2026"])
@@ -722,7 +722,7 @@ def test_a_sensor_stamp_may_lie_a_little_ahead() -> None:
 
 def test_a_command_of_another_run_is_a_reason_only_in_as_driving() -> None:
     rig = Rig().ready()
-    assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) == ("run_id 1 is not the run in hand (2)",)
+    assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) == ("run_id 1 is not the present run (2)",)
     assert dict(rig.report.reason_counts) == {}
     rig = driven()
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) != ()

@@ -601,7 +601,7 @@ def test_the_car_stops_with_its_nose_where_its_path_ends() -> None:
     assert ask(plan_of(STRAIGHT, confidence=unsure, supported_m=nose_m + 3.0), 1.0).brake == 0.0
     assert ask(plan_of(STRAIGHT, confidence=unsure, supported_m=nose_m), 1.0).brake > 0.0
     stands = ask(plan_of(STRAIGHT, confidence=unsure, supported_m=nose_m, note="a fork"), 0.0)
-    assert stands.note == "the path ends and is not believed to go on: a fork"
+    assert stands.note == "the path ends, and nothing confirms that it continues: a fork"
 
 
 def test_a_mapped_path_is_driven_faster() -> None:
@@ -726,7 +726,7 @@ def test_what_keeps_the_controller_from_driving_is_told(plan: Plan | None, note:
     ("plan", "why"),
     [
         (plan_of(np.zeros((0, 2)), note="no cones"), "no path: no cones"),
-        (plan_of(STRAIGHT), "it does not do what it is asked"),
+        (plan_of(STRAIGHT), "it does not follow the command"),
     ],
 )
 def test_a_car_that_stands_for_30_s_is_given_up_for_this_run(plan: Plan, why: str) -> None:

@@ -162,7 +162,7 @@ def test_a_stop_and_an_emergency_say_all_about_the_torque() -> None:
 def test_a_sequence_not_seen_is_named_in_as_ready_and_as_driving(as_state: AsState) -> None:
     unseen = (
         f"this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another (the car is in "
-        f"{as_state.label}): it takes AS_OFF first"
+        f"{as_state.label}): the car must go through AS_OFF first"
     )
     assert answer(as_state, state={"sequence": Sequence.NONE})[0] == unseen
     assert unseen not in answer(as_state)
@@ -178,7 +178,7 @@ def test_a_sequence_that_may_be_short_is_told_in_as_ready() -> None:
 def test_in_as_off_what_is_waited_for_depends_on_what_is_said() -> None:
     for as_state in (INIT, OFF):
         selected = Circumstances(Phase.READY, SELECTED)
-        waiting = f"waiting for AS_READY: the car is in {as_state.label}, and all that the bus shows is met"
+        waiting = f"waiting for AS_READY: the car is in {as_state.label}, and every condition that the bus shows is met"
         assert answer(as_state, now=selected) == (waiting,)
         assert answer(as_state, state={"sequence": Sequence.NONE}, now=selected) == (waiting,)
         manual = "mode is manual: set autonomous in AS_INIT, AS_OFF or AS_READY"
@@ -285,9 +285,10 @@ def shown(
     return [(one.slug, one.sentence, one.follows) for one in found]
 
 
+MET = "and every condition that the bus shows is met"
 WAITS = {
-    INIT: [("start_unknown", "waiting for AS_READY: the car is in AS_INIT, and all that the bus shows is met", False)],
-    OFF: [("start_unknown", "waiting for AS_READY: the car is in AS_OFF, and all that the bus shows is met", False)],
+    INIT: [("start_unknown", f"waiting for AS_READY: the car is in AS_INIT, {MET}", False)],
+    OFF: [("start_unknown", f"waiting for AS_READY: the car is in AS_OFF, {MET}", False)],
     READY: [("no_go", GO, False)],
     DRIVING: [],
 }
@@ -377,7 +378,7 @@ OTHERWISE: dict[str, tuple[Set[AsState], dict[str, Any], str]] = {
             (
                 "status_frozen",
                 {*OFF_LIKE, READY},
-                "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen",
+                "the VCU hung or its 0x520 froze: 0x520 repeated itself, so the real state of the car is not known",
             ),
             (
                 "no_ai_data",
@@ -389,7 +390,7 @@ OTHERWISE: dict[str, tuple[Set[AsState], dict[str, Any], str]] = {
             (
                 "ready_not_selected",
                 {READY},
-                "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start so",
+                "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start then",
             ),
         )
     },

@@ -1034,7 +1034,10 @@ def test_an_orderly_end_while_moving_leaves_the_car_to_its_brake() -> None:
     decision = supervisor.ending(decide(state, inputs))
     assert (decision.estop, decision.direction, decision.brake) == (True, Direction.FORWARD, Brake.SERVICE)
     assert state.emergency is not None
-    assert state.emergency.words == "this software was stopped: the car was in AS_DRIVING and not known to stand"
+    assert (
+        state.emergency.words
+        == "this software was stopped: the car was in AS_DRIVING, and its standstill was not confirmed"
+    )
 
 
 # ---------------------------------------------------------------- the words of what latched

@@ -31,7 +31,7 @@ CAUSES_OF = {
     "off-board charger fault": {"offboard_charger"},
     "charge procedure fault": {"charge_procedure"},
     "BMS fault": {"bms"},
-    "the EBS is not available any more": {"ebs_fault", "tsms_off"},
+    "the EBS is no longer available": {"ebs_fault", "tsms_off"},
     "shutdown circuit open": {"sdc_open", "remote_estop", "radio_lost"},
     "ASMS off": {"asms_off", "given_up"},
     "Go off": {"go_off"},

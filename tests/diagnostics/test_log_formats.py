@@ -485,7 +485,7 @@ def test_frames_of_a_blf_that_are_alike_are_read_together(
 
 
 ASC_BAD_ROWS = {
-    "   0.1 1  EngineData Rx   d 8 01 02 03 04 05 06 07 08": "no identifier: EngineData",
+    "   0.1 1  EngineData Rx   d 8 01 02 03 04 05 06 07 08": "invalid identifier: EngineData",
     "   0.1 1  123  Rx   d 8 01 02 ZZ 04 05 06 07 08": "no data bytes",
     "   0.1 1  123  Rx   d 6 1A 07": "2 data bytes where 6 are announced",
     "   0.1 1  123  Rx   d 2 1A 07 11": "more data bytes than the 2 that are announced",
@@ -522,14 +522,14 @@ LOSSES: dict[str, tuple[str | bytes, int, str]] = {  # the content, how many fra
         "line 26: not a row of this table",
     ),
     "TRC overrun": (trc("2.1", "  25  250.000 ST 1 Rx - 4 00 00 00 02\n"), 24, "line 28: frames were lost here"),
-    "no log": (b"\x00\x01\x02" * 50, 0, "no format of a log that is read"),
-    "BLF of a logger that died": (blf(closed=False), 24, "did not close it"),
+    "no log": (b"\x00\x01\x02" * 50, 0, "not a log format that can be read"),
+    "BLF of a logger that died": (blf(closed=False), 24, "did not close"),
     "BLF with an object of length 0": (blf([FIRST, LENGTH_0]), 1, "after frame 1: an object of length 0"),
     "BLF with an object of no version": (blf([FIRST, VERSION_9]), 1, "version 9"),
     "BLF with less than it announces": (blf()[:32] + b"\x63\0\0\0" + blf()[36:], 24, "24 of 99 objects are there"),
     "ASC without its block's end": (asc(f"{ASC_HEAD}Begin Triggerblock {DATE}\n"), 24, "trigger block has no end"),
     **{
-        f"{what} with an error at a time that is none": (content, 24, "no time")
+        f"{what} with an error at a time that is none": (content, 24, "invalid time")
         for what, content in {
             "python-can CSV": TEXTS["python-can CSV"] + "999999999999999999.0,0x40,0,0,1,8,AAAAAAAAAAA=\n",
             "python-can CSV, negative,": TEXTS["python-can CSV"] + "-9.0,0x40,0,0,1,8,AAAAAAAAAAA=\n",
@@ -543,7 +543,7 @@ LOSSES: dict[str, tuple[str | bytes, int, str]] = {  # the content, how many fra
         }.items()
     },
     "SQLite with a number for data": (sqlite_db((0.5, 0x520, 0, 0, 0, 8, 1 << 40)), 24, "row 25 is left out: no data"),
-    "SQLite without a time": (sqlite_db((None, 0x520, 0, 0, 0, 8, b"")), 24, "row 25 is left out: no time: None"),
+    "SQLite without a time": (sqlite_db((None, 0x520, 0, 0, 0, 8, b"")), 24, "row 25 is left out: invalid time: None"),
     "pcap cut in a packet": (pcap()[:-3], 23, "cut off"),
     "pcapng with a block of length 0": (pcapng() + bytes(8), 24, "a block of length 0"),
     **{
@@ -892,7 +892,7 @@ def test_check_of_a_folder_is_a_line_for_each_log_and_a_verdict(
         (tmp_path / name).write_text("what we did")
     assert main(["check", str(tmp_path)]) == 1
     said = capsys.readouterr()
-    died = "BLF, 24 frames; not readable as BLF after frame 24: its logger did not close it"
+    died = "BLF, 24 frames; not readable as BLF after frame 24: the logger did not close the file"
     for name, words in (("a.log", "candump, 24 frames\n"), ("b.blf", died), ("c.trc", "no frames in it\n")):
         assert said.out.count(f"/{name}: ") == 1 and f"/{name}: {words}" in said.out
     assert said.err == ""

@@ -93,7 +93,7 @@ def test_a_pause_is_the_loss_of_the_computer_that_lost_frames(
     assert "problem:" in gap and "plug" in gap
     lossy = told(capsys, "check", str(written(tmp_path, frames, lost_in_receive_buffer=28_928)))
     assert "problem:" not in lossy and "plug" not in lossy and "termination" not in lossy
-    assert "verdict: UNKNOWN: 28928 frames lost in this machine's receive buffer: no fault of the bus" in lossy
+    assert "verdict: UNKNOWN: 28928 frames lost in this machine's receive buffer: not a fault of the bus" in lossy
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def test_what_the_bridge_counted_meanwhile_is_told_with_detail() -> None:
         watch.diagnose("last detail of command_refused", "throttle is nan")
         watch.diagnose("count of steer_clamped", "2")  # long before
     (line,) = wrong(watch)
-    assert "intervened 2 times" in line and "refused whole" in line and "(throttle is nan)" in line
+    assert "intervened 2 times" in line and "a vehicle command was refused" in line and "(throttle is nan)" in line
 
 
 @pytest.mark.parametrize("why", [Asked.MISSION_DONE.value, "wheel speeds (0x525) are missing"])

@@ -92,12 +92,14 @@ def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys:
     printed = capsys.readouterr().out
     again = f"  fsai-vcu drive --mission autonomous_demo --revision 2026 --seed 0 --fault {again} --log {log}"
     assert printed.splitlines()[1] == again, "every option, and no parameter that the seed gives"
-    assert "demanded: " in printed and "as the safety rules demand" in printed
+    assert "required: " in printed and "as the safety rules demand" in printed
     assert "bridge sees: the vehicle command is stale" in printed
-    assert "bridge: AS_DRIVING, torque 0 until what is stale is fresh again" in printed
+    assert "bridge: AS_DRIVING, torque 0 until the stale input is fresh again" in printed
     assert "bridge stops the car because the vehicle command is stale" in printed
     assert "car: AS_FINISHED (mission FINISHED at rest)" in printed
-    assert re.search(r"seen: service-brake stop, FINISHED \(service brake after \d+ ms, safe after \d+ ms\)", printed)
+    assert re.search(
+        r"observed: service-brake stop, FINISHED \(service brake after \d+ ms, safe after \d+ ms\)", printed
+    )
 
 
 def test_the_catalogue_is_listed_for_people(capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,7 +53,7 @@ def test_a_reader_that_does_not_hear_a_publisher_is_found(rig: RosRig) -> None:
 def test_the_verb_says_it_in_lines_in_json_and_by_its_status(capsys: pytest.CaptureFixture[str]) -> None:
     argv = ["check-stack", "--wait", "0.5", "--namespace", "/nobody"]
     assert main(argv) == 1
-    assert "/vehicle_cmd: nothing was received\n    it comes from the controller" in capsys.readouterr().out
+    assert "/vehicle_cmd: nothing was received\n    the controller sends it" in capsys.readouterr().out
     assert main([*argv, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert [each["topic"] for each in told["wrong"]] == ["vehicle_cmd", "vehicle_state", "run_state"]

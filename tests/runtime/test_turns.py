@@ -123,7 +123,7 @@ def test_of_several_commands_the_newest_counts() -> None:
     rig.turn(311 * MS, edge=[ResetConfirmed("planner", rig.bridge.run.run_id), *commands, Ended("strange")])
     assert rig.bridge.state.command is commands[-1] and rig.bridge.state.command_ns == 311 * MS
     assert rig.bridge.state.supervisor.confirmed == {"planner"}
-    assert rig.done == [Note(logging.ERROR, "Ended is no message to the CAN loop")]
+    assert rig.done == [Note(logging.ERROR, "Ended is not a message for the CAN loop")]
 
 
 # ---------------------------------------------------------------- late

@@ -253,7 +253,7 @@ class Controller:
         stood_s = (now_ns - self._stood_since_ns) / 1e9
         if stood_s >= self._settings.give_up_s:
             self._estop = True
-            self._note = f"the car has stood for {stood_s:.0f} s: {self._note or 'it does not do what it is asked'}"
+            self._note = f"the car has stood for {stood_s:.0f} s: {self._note or 'it does not follow the command'}"
 
     def _drive(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> tuple[float, float]:
         """Throttle and brake; the steering is left in `_steering_rad`."""
@@ -302,7 +302,9 @@ class Controller:
             return 0.0, self._end_brake(speed)
         age_s = (now_ns - plan.t_sensor_ns) / 1e9
         if plan.confidence < settings.confidence_min and speed < NEARLY_AT_REST_MPS:
-            self._note = "the path ends and is not believed to go on" + (f": {plan.note}" if plan.note else "")
+            self._note = "the path ends, and nothing confirms that it continues" + (
+                f": {plan.note}" if plan.note else ""
+            )
         if age_s > settings.plan_old_s:
             self._note = f"the plan is {age_s:.1f} s old"
         askew = math.remainder(course - float(np.interp(station, line.along_m, line.heading_rad)), 2.0 * math.pi)

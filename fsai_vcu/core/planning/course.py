@@ -168,7 +168,7 @@ class Evidence:
             if (asides_m > TURNED_M).any():
                 parting_m = float(along_m[int((asides_m > TURNED_M).argmax())])
             if moved_m > TURNED_M:
-                return 0.0, "the way ahead is another one than a moment ago", parting_m
+                return 0.0, "the path ahead differs from the one a moment ago", parting_m
         radius_m = least_radius_of(path)
         if radius_m < self._least_radius_m - BENT_TOLERANCE_M:
             self._too_tight = radius_m, motion.distance_m

@@ -23,7 +23,7 @@ HORIZON_M = 70.0  # of the path handed on
 # Beyond the line, the lap's first cones are seen again or are not; where they stand evenly along a straight, what comes
 # behind it tells where the car is, but no further on than half a lap.
 CLOSING_M, CLOSING_MOST_M = (10.0, 40.0), 120.0
-UNCLOSED = "no race: the cones at the lap's end do not tell where its beginning was"
+UNCLOSED = "no race: the cones at the lap's end do not show where the lap began"
 SEARCH_EVERY_M = 2.0
 GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate …
 LAP_DOUBT = 0.03  # … and else, by a lap's way

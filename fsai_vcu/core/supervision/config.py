@@ -143,15 +143,15 @@ class Reason(Enum):
     STOP_INEFFECTIVE = "stop_ineffective", "the service brake does not stop the car"
     BOTH_PEDALS = "both_pedals", "one command asks for throttle and brake together: the brake wins"
     VCU_SILENT = "vcu_silent", "0x520 from the VCU is missing"
-    WHEELS_STALE = "wheels_stale", "wheel speeds (0x525) are missing or not believed"
+    WHEELS_STALE = "wheels_stale", "wheel speeds (0x525) are missing or implausible"
     STEERING_STALE = "steering_stale", "steering feedback (0x523) is missing"
-    STEERING_IMPLAUSIBLE = "steering_implausible", "the steering does not follow what it is asked for"
+    STEERING_IMPLAUSIBLE = "steering_implausible", "the steering does not follow STEER_REQUEST"
     WHEEL_IMPLAUSIBLE = "wheel_implausible", "one wheel speed does not fit the other three"
     GO_OFF = "go_off", "GO_SIGNAL is 0 in AS_DRIVING: the car is stopping itself"
     FAULT_STATUS = "fault_status", "FAULT_STATUS is 1 in AS_DRIVING: the car is stopping itself"
     AS_STATE_UNKNOWN = (
         "as_state_unknown",
-        "0x520 has no AS_STATE that is known, or has not had one for 100 ms again",
+        "AS_STATE in 0x520 is unknown, or has been known again for less than 100 ms",
     )
     AS_SWITCH_OFF = "as_switch_off", "AS_SWITCH_STATUS fell to 0 in AS_DRIVING: ASMS was switched off"
     TS_SWITCH_OFF = "ts_switch_off", "TS_SWITCH_STATUS fell to 0 in AS_DRIVING: TSMS was switched off"
@@ -160,13 +160,13 @@ class Reason(Enum):
     SHUTDOWN_CAUSE = "shutdown_cause", "SHUTDOWN_CAUSE rose from 0 in AS_DRIVING"
     STATE_FAULT = "state_fault", "EBS_STATE, TS_STATE or OP_STATE became FAULT in AS_DRIVING"
     AMI_CHANGED = "ami_changed", "AMI_STATE changed in AS_DRIVING: another mission than this run's, or none"
-    INTRUDER = "intruder", "somebody else sends on the AI computer's ids 0x510 to 0x514"
+    INTRUDER = "intruder", "a second sender uses the AI computer's ids 0x510 to 0x514"
     LOOP_FAULT = "loop_fault", "the loop failed or missed its deadline by 50 ms"
     BUS_LOST = "bus_lost", "the bus was lost"
     BACKLOG = "backlog", "frames of the car waited 20 ms or more before they were read"
     OTHER_REVISION = "other_revision", "frames of another interface revision are received"
     NOT_SEEN = "not_seen", "AS_DRIVING, but this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another"
-    SEQUENCE_SHORT = "sequence_short", "AS_DRIVING did not follow 5 s in AS_READY and a Go that came after them"
+    SEQUENCE_SHORT = "sequence_short", "AS_DRIVING came without 5 s in AS_READY and then Go"
     NO_MISSION = "no_mission", "AS_DRIVING, but no mission was acknowledged in this run"
     NOT_CONFIRMED = "not_confirmed", "AS_DRIVING, but planner or controller never confirmed their reset for this run"
     STACK_RESTARTED = "stack_restarted", "planner or controller was restarted in AS_DRIVING: this run is over"
@@ -175,7 +175,7 @@ class Reason(Enum):
     # Guards of the gate
     COMMAND_REFUSED = (
         "command_refused",
-        "a vehicle command was refused whole: not finite, out of range or from the future",
+        "a vehicle command was refused: not finite, out of range, or its stamp is ahead of the clock",
     )
     COMMAND_OTHER_RUN = "command_other_run", "a vehicle command belongs to another run"
     STEER_CLAMPED = "steer_clamped", "the steering asked for is beyond ANGLE_MAX or the operational limit"
@@ -184,16 +184,17 @@ class Reason(Enum):
     STILLNESS_UNPROVEN = "stillness_unproven", "the gate held back NEUTRAL or FINISHED while a wheel may turn"
 
 
-_SEE_FAULT: Final = "put the fault right that 0x520 names, then switch the car off and on"
+_SEE_FAULT: Final = "remove the fault that 0x520 names, then switch the car off and on"
 TO_DO: Final[Mapping[Reason, str]] = MappingProxyType(
     {
-        Reason.COMMAND_STALE: "look why planner or controller fell silent: their logs, cones seen, CPU load",
+        Reason.COMMAND_STALE: "find out why planner or controller stopped sending: their logs, cones seen, CPU load",
         Reason.STOP_INEFFECTIVE: "check the service brake: pressure in 0x524 against the request, air, pads",
-        Reason.VCU_SILENT: "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
+        Reason.VCU_SILENT: "check the VCU's supply and the CAN wiring: 0x520 stopped while other messages continued",
         Reason.WHEELS_STALE: "check why 0x525 stopped: VCU, wiring, bus load; else compare it with 0x526",
         Reason.STEERING_STALE: "check why 0x523 stopped: steering controller, VCU, wiring",
         Reason.STEERING_IMPLAUSIBLE: (
-            "move the steering by hand, and by static inspection A (a mission on the AMI): column, motor, angle sensor"
+            "test the steering by hand, then with static inspection A (a mission on the AMI): column, motor, angle "
+            "sensor"
         ),
         Reason.WHEEL_IMPLAUSIBLE: "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping",
         Reason.GO_OFF: (
@@ -203,13 +204,13 @@ TO_DO: Final[Mapping[Reason, str]] = MappingProxyType(
         Reason.AS_STATE_UNKNOWN: (
             "compare the VCU's interface revision with the database; look for a second sender of 0x520"
         ),
-        Reason.AS_SWITCH_OFF: "ask who switched ASMS off; else check the switch and its wiring",
-        Reason.TS_SWITCH_OFF: "ask who switched TSMS off; else check the switch and its wiring",
-        Reason.SHUTDOWN_REQUESTED: "ask who switched the car off; else check TSMS and LVMS",
+        Reason.AS_SWITCH_OFF: "find out who switched ASMS off; if nobody did, check the switch and its wiring",
+        Reason.TS_SWITCH_OFF: "find out who switched TSMS off; if nobody did, check the switch and its wiring",
+        Reason.SHUTDOWN_REQUESTED: "find out who switched the car off; if nobody did, check TSMS and LVMS",
         Reason.FAULT_BIT: _SEE_FAULT,
         Reason.SHUTDOWN_CAUSE: _SEE_FAULT,
         Reason.STATE_FAULT: (
-            "look at what it names: EBS (air pressure, 0x301), tractive system (battery, HVIL), the VCU"
+            "check the system whose state is FAULT: EBS (air pressure, 0x301), tractive system (battery, HVIL), the VCU"
         ),
         Reason.AMI_CHANGED: (
             "leave the display alone once the car is in AS_READY; else look for a second sender of 0x520"
@@ -218,12 +219,14 @@ TO_DO: Final[Mapping[Reason, str]] = MappingProxyType(
             "only one program may send 0x510 to 0x514: stop the other one (a second stack, canplayer, a script, a "
             "logger that replays)"
         ),
-        Reason.LOOP_FAULT: "look what kept the processor busy; real-time priority and CPU load of the AI computer",
+        Reason.LOOP_FAULT: (
+            "find out what kept the processor busy; check real-time priority and CPU load of the AI computer"
+        ),
         Reason.BUS_LOST: "check CAN plugs, termination and bit rate; ip -details link show can0",
         Reason.NOT_SEEN: "start the software before the car leaves AS_OFF, then start again from AS_OFF",
         Reason.SEQUENCE_SHORT: "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
         Reason.NO_MISSION: "choose the mission on the display",
-        Reason.VCU_REBOOT: "check its supply: low-voltage battery, LVMS, connectors",
+        Reason.VCU_REBOOT: "check the VCU's supply: low-voltage battery, LVMS, connectors",
     }
 )
 """Remedies for reasons that a log of the bus can show."""
@@ -231,10 +234,10 @@ TO_DO: Final[Mapping[Reason, str]] = MappingProxyType(
 TO_DO_UNSEEN: Final[Mapping[Reason, str]] = MappingProxyType(
     {
         Reason.BOTH_PEDALS: "have the controller send throttle or brake, the other one 0",
-        Reason.BACKLOG: "look what kept the processor busy (`fsai-vcu doctor`: scheduling)",
+        Reason.BACKLOG: "find out what kept the processor busy (`fsai-vcu doctor`: scheduling)",
         Reason.OTHER_REVISION: "set `[can] revision` to the car's; else look for a second car, a replay or a gateway",
         Reason.NOT_CONFIRMED: "start planner and controller before AS_READY; each confirms every new `run_id`",
-        Reason.STACK_RESTARTED: "look in its log why it ended; the next run begins in AS_OFF",
+        Reason.STACK_RESTARTED: "find out from the node's log why it ended; the next run begins in AS_OFF",
         Reason.COMMAND_REFUSED: "`fsai-vcu check-stack` names the field, or the clock that is ahead",
         Reason.COMMAND_OTHER_RUN: "put the `run_id` of the newest `/run_state` into each command",
         Reason.STEER_CLAMPED: "plan with `steering_max_rad` of `/vehicle_state`, and the official's limit",

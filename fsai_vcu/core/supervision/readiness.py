@@ -69,7 +69,7 @@ def _own_side(config: BridgeConfig, state: SupervisorState, now: Circumstances) 
     elif state.as_state in (AsState.AS_READY, AsState.AS_DRIVING) and state.sequence is Sequence.NONE:
         unmet.append(
             f"this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another (the car is in "
-            f"{state.as_state.label}): it takes AS_OFF first"
+            f"{state.as_state.label}): the car must go through AS_OFF first"
         )
     if state.as_state is AsState.AS_READY and config.short_sequence_allowed:
         unmet.append("AS_DRIVING is accepted without the 5 s and an edge of Go (short_sequence_allowed)")

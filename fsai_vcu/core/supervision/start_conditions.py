@@ -157,7 +157,7 @@ _ANY: Final = OFF | READY | DRIVING
 CONDITIONS: Final[tuple[Condition, ...]] = (
     Condition(
         "status_frozen",
-        "the VCU hung or its 0x520 froze: it repeated itself, and what the car really did was not seen",
+        "the VCU hung or its 0x520 froze: 0x520 repeated itself, so the real state of the car is not known",
         OFF | READY,
     ),
     Condition("no_ai_data", "no message of the AI computer comes: tractive system and EBS wait for it", OFF | READY),
@@ -184,21 +184,21 @@ CONDITIONS: Final[tuple[Condition, ...]] = (
     ),
     Condition(
         "ready_not_selected",
-        "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start so",
+        "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start then",
         READY,
     ),
     Condition("asms", "ASMS is off (AS_SWITCH_STATUS 0)", _ANY, ("status.as_switch",)),
     Condition("tsms", "TSMS is off (TS_SWITCH_STATUS 0)", _ANY, ("status.ts_switch",)),
     Condition(
         "pushbar",
-        "the car is moved by the pushbar (OP_STATE OP_PUSHBAR), and does not start so",
+        "the car is moved by the pushbar (OP_STATE OP_PUSHBAR), and cannot start in this state",
         OFF | READY,
         ("status.op_state",),
         lambda state: state is not OpState.OP_PUSHBAR,
     ),
     Condition(
         "charging",
-        "the car is charged (OP_STATE OP_CHARGE), and does not start so",
+        "the car is charged (OP_STATE OP_CHARGE), and cannot start in this state",
         OFF | READY,
         ("status.op_state",),
         lambda state: state is not OpState.OP_CHARGE,
@@ -360,7 +360,10 @@ def why_not_driving(moment: Moment) -> Iterator[Obstacle]:
         if status.as_state is AsState.AS_READY:
             yield from _for_go(moment, status)
         elif status.as_state in OFF and not rows:
-            words = f"waiting for AS_READY: the car is in {status.as_state.label}, and all that the bus shows is met"
+            words = (
+                f"waiting for AS_READY: the car is in {status.as_state.label}, and every condition that the bus shows "
+                "is met"
+            )
             yield Obstacle("start_unknown", words)
 
 

@@ -88,7 +88,7 @@ class Phase(Enum):
     READY = "AS_READY"
     LAUNCH_WAIT = "AS_DRIVING, standing still for the first 3 s"
     DRIVING = "AS_DRIVING, driving by command"
-    HOLDING = "AS_DRIVING, torque 0 until what is stale is fresh again"
+    HOLDING = "AS_DRIVING, torque 0 until the stale input is fresh again"
     STOPPING = "AS_DRIVING, stopping by the service brake"
     STOPPED = "AS_DRIVING, stopped"
     ESTOP_ASKED = "AS_DRIVING, emergency brake asked for"
@@ -831,7 +831,9 @@ def begin_end(config: BridgeConfig, state: SupervisorState, now_ns: int) -> Supe
         return state
     if standing(config, state, now_ns):
         return _begin_stop(state, Asked.SHUTDOWN, "", now_ns)
-    return ask_emergency(state, Asked.SHUTDOWN, "the car was in AS_DRIVING and not known to stand", now_ns)
+    return ask_emergency(
+        state, Asked.SHUTDOWN, "the car was in AS_DRIVING, and its standstill was not confirmed", now_ns
+    )
 
 
 def ending(decision: Decision) -> Decision:

@@ -171,7 +171,7 @@ class AscRows(Rows):
         if lower.startswith("start of measurement"):
             return None
         if _NO_FRAMES.match(text):
-            self.told.note(f"a row of {' '.join(words[:2]) if words[0].isdigit() else words[0]}, which is no frame")
+            self.told.note(f"a row of {' '.join(words[:2]) if words[0].isdigit() else words[0]}, which is not a frame")
             return None
         raise ValueError("not a row of ASC")
 
@@ -186,7 +186,7 @@ class AscRows(Rows):
             dlc = int(words[4], 16) if len(words) > 4 else 0
         except ValueError:
             if not remote:
-                raise ValueError(f"no length: {words[4][:40]}") from None
+                raise ValueError(f"invalid length: {words[4][:40]}") from None
             dlc = 0
         length = min(dlc, 8) if dlc < 16 else dlc
         if not WAYS.keys().isdisjoint(word.lower() for word in words[5:]):
@@ -243,7 +243,7 @@ class AscRows(Rows):
 
 def _channel(text: str) -> str:
     if not text.isdigit() or len(text) > 5:
-        raise ValueError(f"no channel: {text[:40]}")
+        raise ValueError(f"invalid channel: {text[:40]}")
     return f"can{max(int(text), 1) - 1}"
 
 

@@ -112,7 +112,7 @@ class BlfFile:
             announced = f"{seen} of {self._objects} objects" if seen < self._objects else "less than its head announces"
             raise ReadingEnds(f"cut off: {announced} are there" if seen < self._objects else f"cut off: {announced}")
         if self._read_bytes > self._file_bytes + 3:
-            raise ReadingEnds("its logger did not close it: what it had not written yet is missing")
+            raise ReadingEnds("the logger did not close the file: unwritten frames are missing")
 
     def _all_objects(self) -> Iterator[_Object | Frames]:
         """Each object that is no container; frames behind each other together."""
@@ -124,7 +124,7 @@ class BlfFile:
                 break
             magic, _, version, size, kind = _OBJECT.unpack(head)
             if magic != b"LOBJ":
-                raise ReadingEnds("what follows is no object")
+                raise ReadingEnds("an invalid object follows")
             most = _CONTAINER_BYTES if kind == _CONTAINS else _OBJECT_BYTES
             if not _OBJECT.size <= size <= most:
                 raise ReadingEnds(f"an object of length {size}")
@@ -147,7 +147,7 @@ class BlfFile:
             found = data.find(b"LOBJ", at, at + _PADDING + 4)
             if found < 0 or found + _OBJECT.size > len(data):
                 if len(data) - at > _PADDING + _OBJECT.size:
-                    raise ReadingEnds("what follows is no object")
+                    raise ReadingEnds("an invalid object follows")
                 break
             _, _, version, size, kind = _OBJECT.unpack_from(data, found)
             if not _OBJECT.size <= size <= _OBJECT_BYTES or kind == _CONTAINS:
@@ -215,7 +215,7 @@ class BlfFile:
             return None
         if kind not in _READ:
             name = _NAMES.get(kind)
-            self._told.note(f"an object of type {kind}{f' ({name})' if name else ''}, which is no frame")
+            self._told.note(f"an object of type {kind}{f' ({name})' if name else ''}, which is not a frame")
             return None
         if version not in (1, 2):
             raise ValueError(f"a head of version {version}")
@@ -246,7 +246,7 @@ class BlfFile:
         if kind == _STATISTICS:
             number, _, *_, errors, overloads = _COUNTED.unpack_from(content, at)
             if not errors and not overloads:
-                self._told.note(f"an object of type {kind} ({_NAMES[kind]}), which is no frame")
+                self._told.note(f"an object of type {kind} ({_NAMES[kind]}), which is not a frame")
                 return None
             return counted_errors(t_ns, _channel(number), errors)
         return _bad(kind, t_ns, content, at)
@@ -309,7 +309,7 @@ def _unpacked(content: bytes) -> bytes:
     if packing == 0:
         return content[_CONTAINER.size :]
     if packing != 2:
-        raise ReadingEnds(f"a container packed in manner {packing}")
+        raise ReadingEnds(f"a container compressed with unknown method {packing}")
     unpacking = zlib.decompressobj()
     try:
         data = unpacking.decompress(content[_CONTAINER.size :], _CONTAINER_BYTES)

@@ -152,7 +152,7 @@ def _check_length(length: int, fd: bool) -> None:
 
 def _time_ns(seconds: str, fraction: str) -> int:
     if int(seconds) > MAX_SECONDS:
-        raise ValueError(f"no time: {seconds}.{fraction}")
+        raise ValueError(f"invalid time: {seconds}.{fraction}")
     return int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
 
 
@@ -169,7 +169,7 @@ def _screen_time_ns(text: str | None) -> int:
             (fraction or "0").ljust(9, "0")[:9]
         )
     except (ValueError, OverflowError):
-        raise ValueError(f"no time: {text}") from None
+        raise ValueError(f"invalid time: {text}") from None
 
 
 def log_line(frame: LogFrame, time_digits: int = 1) -> str:

@@ -43,11 +43,11 @@ def read_capture(stream: IO[bytes], told: Problems, name: str) -> Iterator[LogFr
             if link in (_COOKED, _COOKED_2):
                 protocol, kind, channel, packet = _uncooked(link, channel, packet)
                 if protocol not in _PROTOCOLS:
-                    told.note("a packet of another interface, which is no frame of CAN")
+                    told.note("a packet of another interface, which is not a CAN frame")
                     continue
                 sent = kind == _OUTGOING
             elif link != _SOCKETCAN:
-                told.note(f"a packet of link type {link}, which is no frame of a CAN interface")
+                told.note(f"a packet of link type {link}, which is not a frame of a CAN interface")
                 continue
             yield _frame(t_ns, channel, packet, ">" if link == _SOCKETCAN else order, sent)
         except (ValueError, struct.error) as error:

@@ -47,7 +47,7 @@ class FrameFilter:
                 number = int(found[1], 16) | (_EFF_FLAG if len(found[1]) == 8 else 0)
                 ids.append((number, int(found[3], 16) & ~_ERR_FLAG, found[2] == "~"))
             else:
-                raise ValueError(f"no filter: '{word}'; a filter is ID:MASK, ID~MASK or #ERRORMASK, as in 520:7FF")
+                raise ValueError(f"'{word}' is not a filter; a filter is ID:MASK, ID~MASK or #ERRORMASK, as in 520:7FF")
         return cls(tuple(ids), join, error_mask)
 
     def __bool__(self) -> bool:

@@ -89,7 +89,7 @@ _FOREIGN: Final = (
     (b"UnFinMF ", "an MDF older than version 4: convert it to MF4 (asammdf does)"),
     (
         b"\x89MCAP0",
-        "an MCAP: of a bag of ROS 2 make one of sqlite3 (ros2 bag convert); instead of an export take its log",
+        "an MCAP: convert a ROS 2 bag to sqlite3 (ros2 bag convert); for an export, use the log it came from",
     ),
     (b"#ROSBAG", "a bag of ROS 1: record the bus itself (fsai-vcu record)"),
     (b"PAR1", "a Parquet table: take the log that it was made from"),

@@ -50,7 +50,7 @@ class GvretRows(Rows):
         except (KeyError, ValueError):
             raise ValueError("not a line of GVRET") from None
         if not 0 <= t_us <= MAX_SECONDS * 1_000_000:
-            raise ValueError(f"no time: {t_us}")
+            raise ValueError(f"invalid time: {t_us}")
         if not 0 <= length <= MAX_CLASSIC_DLC:
             raise ValueError(f"{length} data bytes")
         if len(data) < length:

@@ -98,7 +98,7 @@ class BusmasterRows(Rows):
         try:
             hour, minute, second, tenths = (int(each) for each in re.split("[:.]", text))
         except ValueError:
-            raise ValueError(f"no time: {text[:40]}") from None
+            raise ValueError(f"invalid time: {text[:40]}") from None
         time_ns = (hour * _HOUR_S + minute * 60 + second) * 1_000_000_000 + tenths * 100_000
         if self._mode == "system":
             if self._day_ns + time_ns < self._now_ns - _HOUR_S * S * 12:  # it is past midnight
@@ -128,7 +128,7 @@ class KvaserRows(Rows):
         found = _KVASER_ROW.fullmatch(text)
         if found is None:
             if re.match(r"(trigger|logging|begin|end)\b", text, re.IGNORECASE):
-                self.told.note("a row of the logger's, which is no frame")
+                self.told.note("a row of the logger's, which is not a frame")
                 return None
             raise ValueError("not a row of Kvaser's CANKing")
         flags = (found["flags"] or "").upper()
@@ -172,7 +172,7 @@ class CrtdRows(Rows):
             self.told.lost += max(counts["rxovr"] - self._overruns.get(bus, 0), 0)
             self._overruns[bus] = counts["rxovr"]
         if row["kind"] != "ER":
-            self.told.note("a comment, an event or a status, which is no frame")
+            self.told.note("a comment, an event or a status, which is not a frame")
             return None
         if "TX_Queue" in row["text"]:
             self.told.note(REQUESTS)

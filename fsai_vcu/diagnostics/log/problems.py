@@ -36,7 +36,7 @@ class Problems:
 
     def summary(self) -> str:
         """One line."""
-        more = f" (and {self.count - 1} more like it or worse)" if self.count > 1 else ""
+        more = f" (and {self.count - 1} more of this kind or worse)" if self.count > 1 else ""
         return self.texts[0] + more if self.count else ""
 
     def note_line(self) -> str:

@@ -78,7 +78,7 @@ class Log:
             if len(frames):
                 yield frames
         if self._format is None and not count and self.problems:
-            self.problems.texts[0] += ": no format of a log that is read"
+            self.problems.texts[0] += ": not a log format that can be read"
 
     def frames(self) -> Iterator[LogFrame]:
         """All frames one by one."""

@@ -80,7 +80,7 @@ def is_virtual(bus: str) -> bool:
 def lost_words(frames: int) -> str:
     """The sentence on frames that a listening machine lost itself; '' for none."""
     which = f"{frames} frame{'s' * (frames > 1)}"
-    return f"{which} lost in this machine's receive buffer: no fault of the bus or the car" if frames else ""
+    return f"{which} lost in this machine's receive buffer: not a fault of the bus or the car" if frames else ""
 
 
 def recorded(log: Path) -> Recorded:

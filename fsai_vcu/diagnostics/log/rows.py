@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.log.problems import Problems
 
 FD_BYTES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Data bytes of each DLC."""
-REQUESTS: Final = "a request to send, which is no frame on the bus"
+REQUESTS: Final = "a request to send, which is not a frame on the bus"
 
 # SocketCAN's error classes and details (linux/can/error.h).
 CONTROLLER: Final = 0x04
@@ -108,7 +108,7 @@ def ns_of(text: str, unit_ns: int = 1_000_000_000) -> int:
     """A decimal number of units in ns, with a point or a comma. Raises ValueError."""
     found = _TIME.fullmatch(text)
     if found is None:
-        raise ValueError(f"no time: {text[:40]}")
+        raise ValueError(f"invalid time: {text[:40]}")
     fraction = found[3] or ""
     ns = int(found[2] + fraction) * unit_ns // int(10 ** len(fraction))
     return -ns if found[1] else ns
@@ -131,11 +131,11 @@ def frame_of(
 ) -> LogFrame:
     """A frame of a row, checked. length: data bytes that are announced. Raises ValueError."""
     if not 0 <= t_ns <= MAX_NS:
-        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+        raise ValueError(f"invalid time: {t_ns / 1e9:.6f} s")
     try:
         can_id = int(id_text, base)
     except ValueError:
-        raise ValueError(f"no identifier: {id_text[:40]}") from None
+        raise ValueError(f"invalid identifier: {id_text[:40]}") from None
     if not 0 <= can_id <= (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID):
         raise ValueError(f"no {29 if extended else 11}-bit identifier: {id_text[:40]}")
     announced = len(data) if length is None else length
@@ -165,7 +165,7 @@ def error_frame(
 ) -> LogFrame:
     """Error frame of SocketCAN for a bus error that a log reports. sent, received: the error counters."""
     if not 0 <= t_ns <= MAX_NS:
-        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+        raise ValueError(f"invalid time: {t_ns / 1e9:.6f} s")
     data = bytes((0, controller, protocol, 0, 0, 0, min(sent, 255), min(received, 255)))
     return LogFrame(t_ns, channel, kinds, data, error=True)
 
@@ -178,7 +178,7 @@ def counted_errors(t_ns: int, channel: str, errors: int) -> LogFrame:
 def told_error(t_ns: int, channel: str, number: int, data: bytes, sent: bool | None = None) -> LogFrame:
     """Error frame that a log has as SocketCAN gave it: its identifier and its data. Raises ValueError."""
     if not 0 <= t_ns <= MAX_NS:
-        raise ValueError(f"no time: {t_ns / 1e9:.6f} s")
+        raise ValueError(f"invalid time: {t_ns / 1e9:.6f} s")
     return LogFrame(t_ns, channel, number & MAX_EXTENDED_ID, data[:MAX_CLASSIC_DLC], error=True, sent=sent)
 
 

@@ -72,7 +72,7 @@ def _frame(
     time_s: object, can_id: int, extended: int, remote: int, error: int, dlc: int, data: bytes | None
 ) -> LogFrame:
     if not isinstance(time_s, float | int) or not 0 <= time_s <= MAX_SECONDS:
-        raise ValueError(f"no time: {time_s}")
+        raise ValueError(f"invalid time: {time_s}")
     t_ns = round(time_s * 1e6) * 1000
     if not isinstance(data, bytes | None):  # bytes(N) would be N zeros
         raise ValueError(f"no data bytes: {str(data)[:40]}")

@@ -128,7 +128,7 @@ class _Unpacked(_Bounded):
         while len(behind) < len(self._magic) and (more := self._read()):
             behind += more
         if not behind.startswith(self._magic):
-            raise ValueError("something else is behind it")
+            raise ValueError("extra data follow the packed part")
         self._unpacker = self._new()
         data = self._unpacker.decompress(behind, most)
         self._waiting = len(data) < most and not self._unpacker.eof

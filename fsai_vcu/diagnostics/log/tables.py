@@ -108,7 +108,7 @@ class TableRows(Rows):
         fd = row.get("edl", "0") == "1" or length > 8
         bus = row.get("bus", row.get("buschannel", "0"))
         if not bus.isdigit() or len(bus) > 5:
-            raise ValueError(f"no bus: {bus[:40]}")
+            raise ValueError(f"invalid bus: {bus[:40]}")
         return frame_of(
             t_ns, f"can{int(bus)}", row[table.id], data, length, extended=extended, remote=remote, fd=fd,
             brs=row.get("brs", "0") == "1", esi=row.get("esi", "0") == "1", sent=sent,

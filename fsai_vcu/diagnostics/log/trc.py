@@ -160,7 +160,7 @@ class TrcRows(Rows):
         if kind in ("ER", "ST", "EC", "EV"):
             return self._event(t_ns, channel, kind, words[at + 1 :])
         if kind == "XL":
-            self.told.note("a row of type XL, which is no frame of CAN or CAN FD")
+            self.told.note("a row of type XL, which is not a frame of CAN or CAN FD")
             return None
         if kind not in ("DT", "RR", *_FD):
             raise ValueError(f"no row of TRC's: {kind[:20]}")
@@ -188,7 +188,7 @@ class TrcRows(Rows):
             protocol = _VIOLATIONS.get(kind_of_error, 0)
             kinds = PROTOCOL | BUS_ERROR
             return error_frame(t_ns, channel, kinds, protocol=protocol, received=received, sent=sent)
-        self.told.note(f"a row of type {kind}, which is no frame")
+        self.told.note(f"a row of type {kind}, which is not a frame")
         return None
 
     def _state(self, t_ns: int, channel: str, data: list[str]) -> LogFrame | None:
@@ -238,7 +238,7 @@ def _number(text: str, base: int = 10) -> int:
 
 def _channel(text: str) -> str:
     if not text.isdigit() or len(text) > 5:
-        raise ValueError(f"no bus: {text[:40]}")
+        raise ValueError(f"invalid bus: {text[:40]}")
     return f"can{int(text)}"
 
 

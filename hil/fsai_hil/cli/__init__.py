@@ -9,7 +9,7 @@ VERBS: Final = {
         "drive a mission, or one with a fault, against the simulated car, without ROS or hardware",
         "simulate",
     ),
-    "track": ("fsai_hil.cli.track", "make a circuit by the rules from a seed, or say what a track is", "simulate"),
+    "track": ("fsai_hil.cli.track", "make a circuit by the rules from a seed, or describe a track", "simulate"),
     "campaign": (
         "fsai_hil.cli.campaign",
         "drive thousands of runs with a fault in each, judged by the safety rules",
@@ -19,7 +19,7 @@ VERBS: Final = {
     "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0", "your stack"),
     "rehearse": (
         "fsai_hil.cli.rehearse",
-        "put your CAN node, or any AI-side program, through what scrutineering and the specification ask",
+        "test your CAN node, or any AI-side program, against scrutineering and the specification",
         "your stack",
     ),
     "scrutineering": (

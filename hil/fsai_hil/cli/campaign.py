@@ -80,7 +80,7 @@ def _campaign(args: argparse.Namespace) -> int:
     plan = _plan(args)
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
-        raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
+        raise ValueError(f"--jobs is {jobs}, but must be at least 1")
     with RecordFile(args.out / "record.jsonl", header_of(plan), resume=args.resume) as record:
         if record.kept_as:
             why = "it is of other sources or options" if args.resume else "without --resume a campaign begins again"
@@ -102,7 +102,10 @@ def _campaign(args: argparse.Namespace) -> int:
         new = len(record.results) - kept
         if new:
             rate = new / max(1e-9, time.monotonic() - began_s)
-            print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
+            print(
+                f"{new} runs at {rate:.2f} runs/s; 10,000 runs take {10_000 / rate / 3600:.1f} hours at this rate",
+                file=sys.stderr,
+            )
         print(f"{len(record.results)} runs of {len(plan.kinds())} kinds, record in {record.path}")
         if args.output:
             _table(record.path, args.output)
@@ -124,7 +127,7 @@ def _plan(args: argparse.Namespace) -> CampaignPlan:
     if args.runs < 0 or args.full < 0 or args.runs + args.full < 1:
         raise ValueError("--runs and --full must be 0 or more, and one of them at least 1")
     if args.world_seeds is not None and args.world_seeds < 1:
-        raise ValueError(f"--world-seeds is {args.world_seeds}, but at least 1 world can be driven in")
+        raise ValueError(f"--world-seeds is {args.world_seeds}, but must be at least 1")
     if args.window is not None and not 1.0 <= args.window <= 100.0:
         raise ValueError(f"--window is {args.window:g} s, but must be 1 to 100 s")
     return CampaignPlan(

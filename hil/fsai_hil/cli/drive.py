@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--fault",
         metavar="NAME[:PARAMETER=VALUE,…]",
-        help="break something on the way, and explain what follows; since=start|ready|driving|finished and after=MS"
-        " say when, chance=N draws what the fault does at random; what is not given is drawn by --seed",
+        help="inject a fault and explain the result; since=start|ready|driving|finished and after=MS"
+        " say when, chance=N draws what the fault does at random; omitted parameters are drawn from --seed",
     )
     add("--full", action="store_true", help="with --fault: drive to the end of the mission")
     add("--list-faults", nargs="?", const="", metavar="WORD", help="list the kinds of fault, or those with that word")

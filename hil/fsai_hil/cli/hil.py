@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--timeout",
         type=float,
         metavar="S",
-        help=f"end it after this time, by the clock that its tests see ({_TIMEOUT_S:g}; with --all {_TIMEOUT_ALL_S:g}; "
+        help=f"end the suite after this time, by the tests' clock ({_TIMEOUT_S:g}; with --all {_TIMEOUT_ALL_S:g}; "
         f"with --soak, {_SOAKED:g} times that on top)",
     )
     parser.add_argument(
@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         signal.signal(signal.SIGTERM, before)
     if status == 124:
-        print(f"fsai-vcu hil: not done after {timeout_s:g} s of its clock, and ended", file=sys.stderr)
+        print(f"fsai-vcu hil: stopped: not finished after {timeout_s:g} s of the tests' clock", file=sys.stderr)
     if status:
         print(f"fsai-vcu hil: the logs of the processes are in {results}", file=sys.stderr)
     return status

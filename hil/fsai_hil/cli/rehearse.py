@@ -1,4 +1,4 @@
-"""`fsai-vcu rehearse`: put any AI-side program, in any language, through what scrutineering and the interface ask."""
+"""`fsai-vcu rehearse`: test any AI-side program, in any language, against scrutineering and the interface."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--list", action="store_true", help="list the items: what each requires, and its source")
     add("--revision", default="2026", choices=("2021", "2026"), help="interface revision of the car (2026)")
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
-    add("--pedals-once-a-cycle", action="store_true", help="a VCU that looks for torque with brake once a cycle")
+    add("--pedals-once-a-cycle", action="store_true", help="the VCU checks torque with brake once a cycle")
     add("--truth", type=int, metavar="PORT", help="send the true pose to this UDP port of 127.0.0.1, for sensors")
     add("--no-gps", action="store_true", help="a car without the PCAN-GPS")
     add(

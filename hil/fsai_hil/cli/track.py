@@ -1,4 +1,4 @@
-"""`fsai-vcu track`: make a circuit by the rules from a seed, or say what a track is."""
+"""`fsai-vcu track`: make a circuit by the rules from a seed, or describe a track."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Load the track, and print, save and draw it as the arguments ask; return the exit status."""
     if (args.track is None) == (args.seed is None) or (args.style and args.seed is None):
-        raise WrongUse("track takes either a file or a name, or --seed N and perhaps --style")
+        raise WrongUse("give a file, a name, or --seed N (optionally --style)")
     name = args.track or f"generated-{args.seed}{f'-{args.style}' if args.style else ''}"
     try:
         track = load_track(name)

@@ -53,7 +53,7 @@ LINK: Final = frozenset(
 VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
     "Go off": frozenset({"go_off"}),
     "ASMS off": frozenset({"asms_off"}),
-    "the EBS is not available any more": frozenset({"tsms_off", "ebs_fault"}),
+    "the EBS is no longer available": frozenset({"tsms_off", "ebs_fault"}),
     "shutdown circuit open": frozenset({"sdc_open", "remote_estop", "radio_lost", "go_off"}),
     "the AI computer's messages or echo are missing": LINK,
     "torque and brake requested together": frozenset({"torque_with_brake"}),
@@ -201,7 +201,7 @@ class Score(NamedTuple):
     def line(self) -> str:
         counted = ", ".join(f"{count} {grade}" for grade, count in self.grades.items())
         share = self.grades["right"] / self.logs
-        return f"{self.what}: {self.logs} logs: {counted} ({share:.1%} right); {self.green} called OK that are not"
+        return f"{self.what}: {self.logs} logs: {counted} ({share:.1%} right); {self.green} wrongly called OK"
 
 
 def score(what: str, found: Iterable[Explained | Told]) -> Score:
@@ -247,7 +247,7 @@ def _halves(args: argparse.Namespace) -> Iterator[Score]:
         count = args.logs or len(ROWS)
         numbers = [index * max(1, len(ROWS) // count) for index in range(count)]
         logs = spread(partial(explained, args.seed), numbers, args.jobs)
-        yield score("a fault driven", followed(logs, "logs", count, _not_right, "not right"))
+        yield score("a fault in the drive", followed(logs, "logs", count, _not_right, "not right"))
     if args.half in (2, None):
         edited = spread(told_at, range(len(EDITS)), args.jobs)
         yield score("frames edited", followed(edited, "logs", len(EDITS), _edit_not_right, "not right"))

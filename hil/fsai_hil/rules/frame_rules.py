@@ -241,7 +241,7 @@ def _may_drive(v: BusView, axle: Axle) -> Iterator[str]:
     if AsState.AS_DRIVING not in v.states:
         yield f"{name} torque in {v.states[-1].label}"
     if not v.state_settled:
-        yield f"{name} torque after a 0x520 whose AS_STATE no table knows, and not 100 ms of known ones since"
+        yield f"{name} torque after a 0x520 with an undefined AS_STATE, and not 100 ms of known ones since"
     age_ns = t_ns - (s.status_ns or 0)
     if age_ns >= STATUS_FRESH_NS + v.in_flight_ns:  # stale after 50 ms is stale at 50 ms
         yield f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old"

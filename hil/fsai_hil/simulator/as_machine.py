@@ -135,7 +135,7 @@ CAR_FAULTS: Final[tuple[Fault, ...]] = (
     Fault("bms", Cause.BMS_FAULT, lambda s: s.bms_fault, "BMS fault"),
 )
 
-_EBS_UNAVAILABLE: Final = Fault("ebs", Cause.EBS_FAULT, lambda s: not s.ebs_armed, "the EBS is not available any more")
+_EBS_UNAVAILABLE: Final = Fault("ebs", Cause.EBS_FAULT, lambda s: not s.ebs_armed, "the EBS is no longer available")
 
 
 class Row(Value, frozen=True):

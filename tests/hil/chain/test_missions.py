@@ -90,7 +90,7 @@ def test_a_car_of_another_revision_is_named_and_rules_are_kept(chain: Chain) -> 
         chain.autonomous()
         chain.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
         run.type(f"ami {MISSION}")
-        words = f"the car speaks interface revision {OTHER_REVISION}"
+        words = f"the car uses interface revision {OTHER_REVISION}"
         chain.operator.await_state(
             lambda s: any(each.startswith(words) for each in s.why_not_driving), POWER_UP_S, "the revision is named"
         )

@@ -89,12 +89,12 @@ class ScenarioNarrator:
                 if pedals <= PEDALS_SHOWN or not text.startswith("on the bus"):
                     lines.append(f"{(t_ns - zero_ns) / MS:+9.0f} ms  {text}")
         must = self.scenario.case.kind.must.of_drawn(self.scenario.case.params)
-        lines.append(f"demanded: {must.note or 'one of these ends'}; allowed: {must.allowed}")
+        lines.append(f"required: {must.note or 'one of the allowed ends'}; allowed: {must.allowed}")
         if not verdict.applies:
             lines.append(
-                "(here no reaction is demanded: not in AS_DRIVING after its first 3 s, or the mission was over)"
+                "(no reaction is required here: not in AS_DRIVING after its first 3 s, or the mission was over)"
             )
-        lines.append(f"seen: {verdict.reaction}{self._times(verdict)}")
+        lines.append(f"observed: {verdict.reaction}{self._times(verdict)}")
         return [*lines, *(f"worse than allowed: {fault}" for fault in verdict.faults)]
 
     def _times(self, verdict: CaseVerdict) -> str:

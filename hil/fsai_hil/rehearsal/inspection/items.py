@@ -37,7 +37,7 @@ SILENCES: Final = {
 def _silence(can_id: int, what: str, within_ms: int | None) -> Item:
     name = f"silence-{can_id:x}"
     if within_ms is None:
-        asks = f"0x{can_id:03X} ({what}) falls silent in AS_DRIVING: the old values are not taken for new ones"
+        asks = f"0x{can_id:03X} ({what}) falls silent in AS_DRIVING: the program does not treat old values as new"
         return Item(name, f"0x{can_id:03X} silent", asks, ADVICE, name)
     asks = f"0x{can_id:03X} ({what}) falls silent in AS_DRIVING: no torque is asked for {within_ms} ms later"
     return Item(name, f"0x{can_id:03X} silent", asks, RULES, name)
@@ -127,7 +127,7 @@ ITEMS: Final = (
     Item(
         "axle",
         "the driven axle",
-        "torque is asked of an axle that has a motor (AXLE_TRQ_MAX above 0)",
+        "torque is requested only from an axle with a motor (AXLE_TRQ_MAX above 0)",
         SPECIFICATION,
         "static-a",
     ),

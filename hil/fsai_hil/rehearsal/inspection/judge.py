@@ -353,7 +353,7 @@ class InspectionJudge:
         elif frame.can_id in AI_IDS:
             self.wrong("messages", f"{name} was sent")
         elif frame.can_id != OPTIONAL_AI_ID:
-            self.wrong("messages", f"{name} was sent, which no message of this car has", grave=False)
+            self.wrong("messages", f"{name} was sent, which is not an id of this car", grave=False)
 
     def _time(self, can_id: int, t_ns: int) -> None:
         self._counts[can_id] += 1
@@ -569,7 +569,7 @@ class InspectionJudge:
         if any(one.grave for one in found):
             return Result(item, Verdict.FAIL, words)
         if item.slug not in self._shown:
-            why = self.why_not.get(item.scene) or "the rehearsal ended before it"
+            why = self.why_not.get(item.scene) or "the rehearsal ended before this item"
             return Result(item, Verdict.NOT_SEEN, (*words, why))
         shown = tuple({_NUMBERS.sub("", each): each for each in reversed(facts)}.values())[::-1][
             :3
@@ -635,7 +635,7 @@ class InspectionJudge:
             self.show("handshake", f"{found.judged - found.wrong} of {found.judged} echoes are the last bit received")
         if found.fault is None:
             if found.wrong > 0.1 * found.judged:
-                words = f"{found.wrong} of {found.judged} echoes are another bit than the last one received"
+                words = f"{found.wrong} of {found.judged} echoes are not the last bit received"
                 self.wrong("handshake", words, grave=False)
             return
         words = f"it sends back {found.fault.value}: {found.wrong} of {found.judged} echoes are wrong"

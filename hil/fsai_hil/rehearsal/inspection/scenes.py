@@ -131,7 +131,7 @@ def _alive(stage: Stage, then: Callable[[], Script]) -> Script:
     """Power on, until the display offers the missions."""
 
     def not_alive() -> None:
-        why = "the car did not come alive: its VCU did not get all five messages with matching echoes"
+        why = "the car did not leave power-up: its VCU did not get all five messages with matching echoes"
         stage.stuck(why if stage.heard else "no frame of the program was received", for_all=True)
 
     return (
