@@ -161,7 +161,7 @@ def test_a_failed_campaign_prints_the_line_that_replays_the_run(
     worse = [run for run in read(tmp_path / "record.jsonl", KIND)[1] if run["verdict"] == "worse"]
     assert len(worse) == 2
     assert all(f"worse: {run['replay']}" in printed for run in worse)
-    assert "drives on, where the rules demand: EMERGENCY_BRAKE by our ESTOP_REQUEST" in printed
+    assert "drives on, where the rules demand: EMERGENCY_BRAKE by ESTOP_REQUEST" in printed
     assert "2 worse than the rules allow" in printed
 
 

@@ -43,7 +43,7 @@ def spread(values: Sequence[float]) -> dict[str, float]:
 
 
 def row(name: str, unit: str, ours: Sequence[float], peer_name: str, peer: Sequence[float]) -> Ratio:
-    """Return one row of the results. Its `ratio` is the peer's time by ours, round by round."""
+    """Return one row of the results. Its `ratio` is the peer's time over this project's, round by round."""
     ratios = [theirs / own for own, theirs in zip(ours, peer, strict=True)]
     figures = {"ours": spread(ours), "peer": spread(peer), "ratio": spread(ratios)}
     return {"name": name, "unit": unit, "peer_name": peer_name, **figures}

@@ -26,7 +26,7 @@ class End(Enum):
     ON = "drives on"
     HELD = "stays in AS_DRIVING, torque 0"
     STOP = "service-brake stop, FINISHED"
-    ESTOP = "EMERGENCY_BRAKE by our ESTOP_REQUEST"
+    ESTOP = "EMERGENCY_BRAKE by ESTOP_REQUEST"
     SELF = "the car stops itself"
     OFF = "falls back to AS_OFF"
     NOT_STARTED = "does not start to drive"

@@ -232,7 +232,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Entry(
         "pulses_running_on",
-        "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
+        "the pulses of every wheel run on by themselves, so many a second, and the bridge is asked to stop",
     ).by(
         together(reading("wrong pulses", "pulses"), manual_asked),
         replace(UNBELIEVED, ends=frozenset((End.ESTOP,)), note="it never sends FINISHED"),
@@ -285,13 +285,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Entry("motor_late", "torque comes and goes late, in ms").by(
         ordered("late", *TORQUES), NOTHING, Draw("delay", (20, 200))
     ),
-    Entry("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
+    Entry("motor_runs_on", "the motors go on giving torque that is not requested, and the bridge is asked to stop").by(
         together(ordered("runs on", "rear_torque_nm"), manual_asked),
         INEFFECTIVE,
         Draw("torque", (20.0, 150.0)),
     ),
     *(
-        Entry(f"brakes_{name}", f"{what}, and we are asked to stop").by(
+        Entry(f"brakes_{name}", f"{what}, and the bridge is asked to stop").by(
             together(ordered(change, *brakes), manual_asked), must, *draws
         )
         for name, what, change, brakes, must, *draws in (

@@ -90,7 +90,7 @@ def _impossible_speeds(ids: Ids, p: Params) -> FrameFault:
 
 
 def _flickering_state(ids: Ids, p: Params) -> FrameFault:
-    """Every other frame shows an AS_STATE that no table knows; HANDSHAKE stays what it is."""
+    """Every other frame shows an undefined AS_STATE; HANDSHAKE stays what it is."""
     odd = itertools.cycle((True, False))
 
     def change(frame: Frame) -> Frame:
@@ -265,7 +265,7 @@ def _message(
         )
         for name, does, fault, must, *draws in (
             ("lost", "stops coming", "lost", lost, lasts(*lost_ms)),
-            ("late", "comes later, and goes on so", "late", replace(lost, of="delay"), late),
+            ("late", "comes late, and stays late", "late", replace(lost, of="delay"), late),
             ("frozen", "repeats one payload", "frozen", frozen, lasts(*frozen_ms)),
             ("twice", "arrives several times", "twice", NOTHING, times, lasts((100, 2500))),
             ("corrupted", "has bits flipped", "flipped", corrupted, lasts((10, 2000)), bits),
@@ -322,13 +322,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Entry("status_fault_bit", "0x520 shows FAULT_STATUS 1, the car drives").by(
         status_shows(lambda p: {"fault": True}), STOP, SHOWN
     ),
-    Entry("status_undefined_as_state", "0x520 shows an AS_STATE that no table knows, the car drives").by(
+    Entry("status_undefined_as_state", "0x520 shows an undefined AS_STATE, the car drives").by(
         from_car({STATUS}, "undefined AS_STATE"),
         Graded(((0, PAUSE), (100, estop(100)))),
         lasts((10, 40), (60, 86), (130, 2500)),
         Draw("state", (6, 15)),
     ),
-    Entry("status_flickering_as_state", "0x520 shows an AS_STATE that no table knows in every other frame").by(
+    Entry("status_flickering_as_state", "0x520 shows an undefined AS_STATE in every other frame").by(
         from_car({STATUS}, "flickering AS_STATE"), PAUSE, lasts((30, 1500)), Draw("state", (6, 15))
     ),
     Entry("status_state_fault", "0x520 shows one of its states as FAULT while FAULT_STATUS stays 0, the car drives").by(
@@ -400,7 +400,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         lasts((10, 60), (150, 3000)),
         Draw("bit", "0", "1"),
     ),
-    Entry("handshake_slow", "our echo reaches the car late, within its patience").by(
+    Entry("handshake_slow", "the echo reaches the car late, within its timeout").by(
         to_car({AI_STATUS}, "late"), NOTHING, Draw("delay", (20, 70))
     ),
     *_limit("front_limit", DRIVE_F, "the front axle's torque limit"),
@@ -415,7 +415,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Entry("everything_thinned", "each frame of the car is lost by chance").by(
         from_car(FROM_CAR, "thinned"), NOTHING, Draw("share", (0.01, 0.12))
     ),
-    Entry("car_silent", "we receive nothing of the car, it receives us").by(
+    Entry("car_silent", "the bridge receives nothing from the car, and the car still receives the bridge").by(
         from_car(FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
     Entry("vcu_hangs", "the VCU neither sends nor receives for a while").by(
@@ -439,15 +439,15 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     # ---------------------------------------------------------------- what the car receives
-    *_incoming("ai_status", AI_STATUS, "our state", frozen=SILENT),
-    *_incoming_torque("ai_front", AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
-    *_incoming_torque("ai_rear", AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
-    *_incoming("ai_steer", AI_STEER, "our steering request", frozen=ODD),
-    *_incoming_torque("ai_brake", AI_BRAKE, "our brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)),
-    Entry("ai_thinned", "each of our frames is lost on its way by chance").by(
+    *_incoming("ai_status", AI_STATUS, "the AI computer's state", frozen=SILENT),
+    *_incoming_torque("ai_front", AI_DRIVE_F, "the front torque request", frozen=MAY_MEET),
+    *_incoming_torque("ai_rear", AI_DRIVE_R, "the rear torque request", frozen=MAY_MEET),
+    *_incoming("ai_steer", AI_STEER, "the steering request", frozen=ODD),
+    *_incoming_torque("ai_brake", AI_BRAKE, "the brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)),
+    Entry("ai_thinned", "each frame of the AI computer is lost at random").by(
         to_car(AI_IDS, "thinned"), MAY_STOP_ITSELF, Draw("share", (0.01, 0.12))
     ),
-    Entry("intruder", "somebody else sends on one of our ids").by(
+    Entry("intruder", "a second sender uses an id of the AI computer").by(
         intruder,
         ends(End.ESTOP, End.SELF, safe_ms=35, asks=True),
         Draw("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
