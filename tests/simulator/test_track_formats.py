@@ -101,7 +101,7 @@ def test_a_table_may_have_comments_and_spaces_in_its_names() -> None:
     text = as_csv(OVAL, START).replace("big_orange", "Big Orange").replace("car_start", "car start")
     header, *rows = text.splitlines()
     for lines in (
-        ["# by hand", header, *rows[:5], "# the far side, of ours", *rows[5:]],
+        ["# by hand", header, *rows[:5], "# the far side", *rows[5:]],
         [rows[-1].upper().replace(" ", "_"), *rows[:-1]],
     ):
         found = parse_track("\n".join(lines), "loop.csv")

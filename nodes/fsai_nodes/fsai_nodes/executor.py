@@ -31,7 +31,7 @@ _MOST_UNSENT = 8  # answers of a service that wait; the oldest are given up
 
 
 class ServiceAnswers:
-    """ServiceAnswers of services, each sent at once unless an earlier one had to wait for its client.
+    """Answers of services, each sent at once unless an earlier one had to wait for its client.
 
     The middleware waits up to 100 ms for a client that is gone, or whose QoS keeps it from receiving the answer, and
     the node does nothing else meanwhile. After such an answer the next ones pause, so that requests are still carried
